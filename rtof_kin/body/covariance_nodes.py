@@ -72,11 +72,7 @@ def nodes(entries: Array) -> Index:
 
 
 def interpolated(found: Index, entries: Array, frames: Index) -> Array:
-    """Return entries (n, M, k) in some frames.
-
-    Args:
-        found: (K,) frames of nodes. entries: (K, M, k) at them. frames: (n,), from the first to the last node.
-    """
+    """Return entries (n, M, k) in `frames` (n,), from the first to the last node; `found` (K,): the nodes' frames."""
     before = np.searchsorted(found, frames, side="right") - 1
     after = np.minimum(before + 1, len(found) - 1)
     share = (frames - found[before]) / np.maximum(found[after] - found[before], 1)

@@ -136,10 +136,8 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
 
 
 def rotations_from_positions(parents: Sequence[int], offsets: Array, p: Array) -> Array:
-    """Return R_world_bone (T, J, 3, 3) from joint positions by `segment_rotation`; NaN in incomplete frames.
-
-    Args:
-        p: (T, J, 3) m.
+    """Return `segment_rotation` of all joints, R_world_bone (T, J, 3, 3), from positions (T, J, 3), m; NaN if
+    incomplete.
     """
     known = np.isfinite(p).all(axis=(1, 2))
     R = np.full((*p.shape[:2], 3, 3), np.nan)
@@ -179,11 +177,7 @@ def shared_frames(names: Sequence[str], offsets: Array) -> Array:
 
 
 def to_shared(R_bone_shared: Array, parents: Sequence[int], offsets: Array) -> Array:
-    """Return joint offsets (J, 3) in the parents' shared frames, m.
-
-    Args:
-        R_bone_shared: (J, 3, 3). parents: (J,) of each joint. offsets: (J, 3) in the parents' link frames, m.
-    """
+    """Return joint offsets (J, 3) in the parents' shared frames, m, from those in the parents' link frames, m."""
     above = R_bone_shared[np.maximum(parents, 0)]
     return np.asarray(np.einsum("jba,jb->ja", above, offsets))
 

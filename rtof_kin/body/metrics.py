@@ -121,11 +121,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
 def stage_metrics(
     stages: Mapping[str, PoseSequence], truth: PoseSequence | None, skeleton: SkeletonModel, mode: str
 ) -> dict[str, Metrics]:
-    """Compute all metrics of every stage of a mode; empty without truth or with fewer than four frames of it.
-
-    Args:
-        truth, skeleton: see `evaluate`. mode: see `core.choices`.
-    """
+    """Return all metrics of every stage of a mode; empty without truth or with fewer than four frames of it."""
     if truth is None:
         return {}
     first, last = truth.times[[0, -1]]

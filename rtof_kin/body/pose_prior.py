@@ -72,10 +72,8 @@ class NeutralPosture:
 
 
 def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
-    """Return in which frames (T,) the person stands still: thighs and upper trunk upright, nothing turns.
-
-    Args:
-        poses: of the 21-joint skeleton, evenly spaced. rate_hz: of the frames; default: that of the poses.
+    """Return in which frames (T,) of even 21-joint poses the person stands still: thighs and upper trunk upright, no
+    turn.
     """
     R = poses.R_world_bone
     turns = so3.angle_between(R[:-1], R[1:]) * (rate_hz or poses.rate_hz)
@@ -86,22 +84,14 @@ def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
 
 
 def t_pose_frames(poses: PoseSequence) -> Mask:
-    """Return in which frames (T,) the person stands still with level arms.
-
-    Args:
-        poses: of the 21-joint skeleton, evenly spaced.
-    """
+    """Return in which of evenly spaced frames (T,) of the 21-joint skeleton the person stands still with level arms."""
     arms = [poses.names.index(name) for name in ("LeftArm", "RightArm")]
     level = np.abs(poses.R_world_bone[:, arms, 2, 1]) < np.sin(_LEVEL)
     return np.asarray(standing_frames(poses) & level.all(axis=1))
 
 
 def posture_from_t_pose(poses: PoseSequence, parents: Sequence[int]) -> NeutralPosture | None:
-    """Return the posture of the first T-pose; None where there is none.
-
-    Args:
-        poses: of the 21-joint skeleton, evenly spaced. parents: (J,) of its joints.
-    """
+    """Return the posture of the first T-pose of evenly spaced 21-joint poses, with `parents` (J,); else None."""
     least = _SHORTEST * poses.rate_hz
     runs = [(start, stop) for start, stop in signals.runs(t_pose_frames(poses)) if stop - start >= least]
     return NeutralPosture.of(poses[slice(*runs[0])], parents) if runs else None
@@ -208,11 +198,7 @@ class PosePrior:
         )
 
     def moved(self, turns: Mapping[str, Array]) -> PosePrior:
-        """Return the prior with the means of some joints moved.
-
-        Args:
-            turns: joint -> rotation vector (3,) in its parent's axes, rad.
-        """
+        """Return the prior with the means of some joints moved by rotation vectors (3,) in their parents' axes, rad."""
         return replace(self, mean_quat_wxyz=moved_means(self.mean_quat_wxyz, self.joints, turns))
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:

@@ -59,11 +59,7 @@ class PersonMotion:
 
 
 def of_one_rig(names: Sequence[str], joint_offsets: Array) -> bool:
-    """Return whether skeletons divide the trunk alike, as those that one rig makes of several persons do.
-
-    Args:
-        joint_offsets: (C, J, 3) of each skeleton, m.
-    """
+    """Return whether skeletons of `joint_offsets` (C, J, 3) divide the trunk alike, as one rig's of many persons do."""
     lengths = np.linalg.norm(joint_offsets[:, [names.index(joint) for joint in TRUNK]], axis=-1)
     shares = lengths / lengths.sum(axis=1, keepdims=True)
     return bool(np.abs(shares - np.median(shares, axis=0)).max() < SAME_SHARE)

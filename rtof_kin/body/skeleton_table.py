@@ -58,11 +58,7 @@ _COLUMNS: dict[str | None, list[int]] = {"male": [0], "female": [1], None: [0, 1
 
 
 def mass_fraction(segment: str, sex: str | None) -> float:
-    """Return the fraction of body mass of a segment.
-
-    Args:
-        segment: name in `SEGMENTS`. sex: 'male', 'female' or None for the mean.
-    """
+    """Return the fraction of body mass of a segment (in `SEGMENTS`); sex: 'male', 'female' or None for the mean."""
     return float(np.mean([SEGMENTS[segment].mass[i] for i in _COLUMNS[sex]]))
 
 

@@ -1,6 +1,7 @@
 """Offset between the clocks of video and sensors, from the rotation of the limbs.
 
-Directions of bones in the image and by the sensors are compared at every offset within a wide range.
+Directions of bones in the image and by the sensors are compared at every offset within a wide range, without solving
+for poses: a calibrated orientation gives the direction of a bone at every instant, the image its projection.
 Constant differences are removed, so constant errors of the calibration have no effect.
 """
 
@@ -32,10 +33,8 @@ _SIGMA_M = 0.04  # Standard deviation of the difference: per length of the bone,
 
 
 def projected(bones: Array, rays: Array) -> Array:
-    """Return the images (..., 2) of bones, at unit depth of their middles.
-
-    Args:
-        bones: (..., 3) camera axes. rays: (..., 2) normalised image coordinates of their middles.
+    """Return the images (..., 2) of bones (..., 3), camera axes, at unit depth of their middles, by those' normalised
+    rays.
     """
     return np.asarray(bones[..., :2] - rays * bones[..., 2:])
 
@@ -72,11 +71,7 @@ class BoneImages:
         return np.where(known, 1.5 * np.log1p(square / 3), np.nan)
 
     def by_sensor(self, steps: int = 0) -> Array:
-        """Return the mean difference (S,) of each sensor, nats per frame; NaN without a bone.
-
-        Args:
-            steps: offset of the clocks, in `STEP`.
-        """
+        """Return the mean difference (S,) of sensors, nats per frame, at an offset in `STEP`; NaN without a bone."""
         cost = self.cost(steps, constant=False)
         known = np.isfinite(cost)
         some = known.any(axis=0)
@@ -88,11 +83,7 @@ class BoneImages:
 def bone_images(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> BoneImages | None:
-    """Return the bones with sensors between joints of the detector; None where there are none.
-
-    Args:
-        poses: at the keypoints' times, for the depth of the root.
-    """
+    """Return the bones with sensors between joints of the detector, with poses at its times for depth; or None."""
     times = keypoints.times
     every = max(1, -(-int(np.ptp(times) / STEP) // _MOST_FRAMES))
     frames = np.arange(0, int(np.ptp(times) / STEP) + 1, every)
@@ -202,11 +193,7 @@ def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
 def check_clocks(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> Check:
-    """Check that the clocks of video and sensors agree within `LIMIT`.
-
-    Args:
-        keypoints, bone_imus, poses, skeleton: as for `bone_images`.
-    """
+    """Check that the clocks of video and sensors agree within `LIMIT`; arguments as for `bone_images`."""
     what = "video and sensors"
     images = bone_images(keypoints, bone_imus, poses, skeleton)
     scan = None if images is None else scan_clocks(images)

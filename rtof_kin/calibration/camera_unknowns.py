@@ -76,11 +76,7 @@ def refocused(camera: Camera, y: float) -> Camera:
 
 
 def turned(camera: Camera, y: Array, rise: float = 0.0) -> Camera:
-    """Return a camera turned about its centre by y (3,), rad, in its own axes.
-
-    Args:
-        rise: of the centre along the world's z axis, m.
-    """
+    """Return a camera turned about its centre by y (3,), rad, in its own axes, and raised by `rise` along z, m."""
     R, centre = so3.exp(y) @ camera.R_camera_world, camera.center_world + np.array([0.0, 0.0, rise])
     return replace(camera, R_camera_world=R, t_camera_world=-R @ centre)
 
@@ -94,11 +90,7 @@ def corrected(camera: Camera, y: Array) -> Camera:
 
 
 def pitch_and_roll(camera: Camera) -> tuple[float, float]:
-    """Return how far a camera looks down, and how far its right side is down, rad.
-
-    Args:
-        camera: in a world with z up.
-    """
+    """Return how far a camera, in a world with z up, looks down, and how far its right side is down, rad."""
     right, _, forward = camera.R_camera_world
     return float(-np.arcsin(np.clip(forward[2], -1, 1))), float(-np.arcsin(np.clip(right[2], -1, 1)))
 

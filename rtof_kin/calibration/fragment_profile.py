@@ -130,11 +130,7 @@ class ProfiledFragment:
         return LevenbergMarquardt(self.problem, self.limits).linearise(self.x, m)
 
     def profile(self, unknowns: Sequence[Unknown], columns: Sequence[slice], y: Array) -> Slices[tuple[Array, Array]]:
-        """Return Hessian (G, G) and gradient (G,) of the energy as a function of the unknowns alone.
-
-        Args:
-            columns: of each in y. y: (G,).
-        """
+        """Return Hessian (G, G) and gradient (G,) of the energy at y (G,) as a function of the unknowns alone."""
         slope = self.linearise()
         yield
         factor = self.problem.factorise(_DAMPING)

@@ -93,10 +93,6 @@ class OffsetScan:
 
 
 def repeated(best: float, *others: float) -> str:
-    """Return the doubt that a movement repeats itself, without a remedy.
-
-    Args:
-        best, others: offsets that explain it nearly equally well, s.
-    """
+    """Return the doubt that a movement repeats itself, without a remedy; all offsets, s, explain it alike."""
     listed = ", ".join(f"{other:+.2f} s" for other in others)
     return f"the motion repeats itself: offsets of {listed} explain it nearly as well as {best:+.2f} s"

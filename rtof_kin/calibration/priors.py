@@ -74,11 +74,7 @@ class CalibrationPriors:
 
     @classmethod
     def of(cls, recording: Recording) -> Self:
-        """Return the usual priors of a recording; bones are estimated only where not measured.
-
-        Args:
-            recording: with or without bone lengths and height.
-        """
+        """Return the usual priors of a recording; bones are estimated only where not measured."""
         usual, height = SkeletonModel.named(recording.skeleton_table), recording.height
         if height is not None:
             usual = usual.with_height(height)

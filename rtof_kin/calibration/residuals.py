@@ -114,11 +114,7 @@ class CalibrationResiduals:
     def __init__(
         self, space: StateSpace, joints: Attached, given: CalibrationObservations, first: int, x: Array
     ) -> None:
-        """Pose the body.
-
-        Args:
-            x: (N, 3 + 4A) states.
-        """
+        """Pose the body at states x (N, 3 + 4A)."""
         index = np.clip(np.arange(first, first + len(x)), 0, len(given.times) - 1)
         self.space, self.given, self.joints, self.index, self.x = space, given, joints, index, x
         self.times = given.times[index]

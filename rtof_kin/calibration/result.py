@@ -344,11 +344,7 @@ def _rms(values: Array) -> float:
 
 
 def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return groups of bones with the joints at their ends.
-
-    Args:
-        names: of `BONE_GROUPS`, or 'all'.
-    """
+    """Return groups of bones, of `BONE_GROUPS` or 'all', with the joints at their ends."""
     known = {n: tuple(j for j in joints if j in skeleton.names) for n, joints in BONE_GROUPS.items()}
     known["all"] = tuple(skeleton.names[1:])
     indices_of("group of bones", names, tuple(known))
@@ -391,6 +387,20 @@ class CalibrationTable(InputTable):
 
 def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
     """Write a calibration; `read_self_calibration_toml` restores it exactly.
+
+    ::
+
+        schema_version = 1
+        middle_s = 10.0                 # time stamp of the constants of what drifts
+        converged = 1
+        [quantities.mounting.LeftArm]   # kind, then item
+        value = [0.01, -0.02, 0.0]      # SI units or px, as in `unknowns`
+        sigma = [0.01, 0.01, 0.03]
+        sigma_prior = [0.035, 0.035, 0.07]
+        known = 0.4
+        [detector.LeftArm]
+        sigma_px = 5.1
+        memory_s = 0.4
 
     Args:
         overwrite: whether an existing file is replaced.

@@ -11,7 +11,7 @@ information I and gradient s at the current y are those of `fragment_profile`, t
 P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
 windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
 
-The delay of the video has a posterior of its own (`delay_posterior`), as energies are not quadratic in it.
+The delay of the video has a posterior of its own (`DelayPosterior`), as energies are not quadratic in it.
 
 An update takes some 50 ms and comes in slices of about a ms. What is applied to new samples moves
 towards the estimate with a limited speed (`Pace`), so that poses do not jump.
@@ -91,6 +91,9 @@ class LateSensors:
 
 class DelayPosterior:
     """Delay that windows of a motion tell.
+
+    Energies are added up on a grid of delays between `_REACH` standard deviations of the prior on either side. Delay
+    and deviation are the moments of the posterior, which is wide while two delays explain the motion.
 
     Attributes:
         delay: s. sigma: its standard deviation, s. doubt: why it may be wrong; empty for no reason.
@@ -282,11 +285,7 @@ class SequentialCalibration:
         self._quantities = self._listed()
 
     def corrections(self, seconds: float) -> Corrections:
-        """Return what to apply to new samples.
-
-        Args:
-            seconds: since the last call; limits the change.
-        """
+        """Return what to apply to new samples, changed as much as the seconds since the last call allow."""
         wanted, delay = self._wanted()
         most, step = self._pace.turn * seconds, self._pace.delay * seconds
         self._applied += np.clip(wanted - self._applied, -most, most)
@@ -302,20 +301,12 @@ class SequentialCalibration:
         )
 
     def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
-        """Return observations corrected by what `corrections` returned last.
-
-        Args:
-            given, sampled: as of `WindowObservations`.
-        """
+        """Return observations, as of `WindowObservations`, corrected by what `corrections` returned last."""
         late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
     def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
-        """Return the present estimate, as `calibrate` would.
-
-        Args:
-            significant: as in `Pace`, which has the default.
-        """
+        """Return the present estimate, as `calibrate` would; `significant` as in `Pace`, which has the default."""
         return SelfCalibration(self._listed(significant), converged=self.windows > 0)
 
     def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:

@@ -241,11 +241,7 @@ class SharedFragments:
         return out
 
     def profile(self, corrected: CalibrationObservations, y: Array) -> tuple[Array, Array]:
-        """Return Hessian (G, G) and gradient (G,) of the data's energy as a function of the unknowns alone.
-
-        Args:
-            y: (G,).
-        """
+        """Return Hessian (G, G) and gradient (G,) of the data's energy at y (G,) by the unknowns alone."""
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
             fragment = self._profiled(corrected, first, *self._states[first])
@@ -254,11 +250,7 @@ class SharedFragments:
         return hessian, gradient
 
     def unknowns_hessian(self, corrected: CalibrationObservations, first: int, x: Array, y: Array) -> UnknownsHessian:
-        """Return the blocks of a fragment's Hessian by unknowns.
-
-        Args:
-            x: (N, 3 + 4A) states. y: (G,).
-        """
+        """Return the blocks of a fragment's Hessian by unknowns at states x (N, 3 + 4A) and y (G,)."""
         fragment = self._profiled(corrected, first, x)
         return finished(fragment.unknowns_hessian(self.unknowns, self.columns, y))
 
@@ -299,7 +291,11 @@ def learned_precision(
 
     With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; if
     autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The prior's variance
-    of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (by moments; Morris 1983).
+    of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (empirical Bayes by moments; Morris
+    1983).
+
+    With small errors all estimates are smaller than their prior makes likely. A smaller prior also limits estimates of
+    combinations that nothing observes: a radial bias in the image looks like a nearer person.
 
     Args:
         given: (G, G) precision before. information: (G, G) the data's Hessian at y.

@@ -196,21 +196,13 @@ def corrected(given: CalibrationObservations, unknowns: Sequence[Unknown], y: Ar
 
 
 def powers_of_time(times: Array, all_times: Array, count: int) -> Array:
-    """Return (T, count) of a constant and, with two, of the time since the recording's middle, s.
-
-    Args:
-        times: (T,) s. all_times: of the recording, s. count: 1 or 2.
-    """
+    """Return (T, count) of a constant and, for count 2, of the time since the middle of `all_times`, s."""
     since = times - (all_times[0] + all_times[-1]) / 2
     return np.stack([np.ones_like(since), since], axis=-1)[:, :count]
 
 
 def each(own: Array) -> Array:
-    """Return derivatives by all items (N, K, i, K w).
-
-    Args:
-        own: (N, K, i, w) of every item by its own numbers.
-    """
+    """Return derivatives by all items (N, K, i, K w) of each item's own (N, K, i, w)."""
     N, K, i, w = own.shape
     out = np.zeros((N, K, i, K, w))
     items = np.arange(K)
@@ -456,7 +448,10 @@ class Ankles(Isotropic):
 
 @dataclass(frozen=True)
 class Posture(Isotropic):
-    """Rotation of the prior's mean of each joint in its parent's axes."""
+    """Rotation of the prior's mean of each joint in its parent's axes.
+
+    Moves the means of the pose prior (`PosePrior.moved`), as a known posture does, and keeps their covariance.
+    """
 
     items: tuple[str, ...]
     places: tuple[int, ...]  # Of these joints among those of the pose prior in the problem

@@ -300,7 +300,6 @@ def _notes(recordings: dict[str, list[str]], people: dict[str, Any]) -> tuple[st
 def _print_reference(reference: GaitReference) -> None:
     """Print what the reference is of, and what it cannot be used for."""
     from rtof_kin.clinical.gait_scores import FEW, gait_features
-    from rtof_kin.core.errors import InvalidInputError
 
     speeds = ""
     if reference.speed_range is not None:

@@ -85,9 +85,8 @@ def angle_differences(
 ) -> tuple[tuple[AngleDifferences, ...], dict[str, str]]:
     """Return the differences of the angles that both have at the same instants, and why others are left out.
 
-    Args:
-        estimate, reference: angles; samples that are unobserved, unreliable or singular in either do not count.
-        names: angles of the reference to use; all without any. shift: s, added to the times of the reference.
+    Samples that are unobserved, unreliable or singular in either do not count; names: angles of the reference to use,
+    all without any; shift: s, added to the times of the reference.
     """
     left_out: dict[str, str] = {}
     chosen = []
@@ -115,11 +114,7 @@ def angle_differences(
 
 
 def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, movement: str = ALL) -> AngleErrors:
-    """Return the errors of a set of differences.
-
-    Args:
-        differences: not empty.
-    """
+    """Return the errors of a set of differences, at least one."""
     own = list(differences)
     d = np.concatenate([one.difference for one in own])
     centred = np.concatenate([one.difference - one.difference.mean() for one in own])

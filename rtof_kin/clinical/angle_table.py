@@ -34,10 +34,8 @@ _MOVEMENTS: Final = (
 
 
 def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
-    """Return a degree of freedom in words, e.g. 'left hip internal/external rotation (LeftUpLeg_z)'.
-
-    Args:
-        dof: its URDF name, or `BASE_TURN` for the orientation of the root. Other names are unchanged.
+    """Return a degree of freedom in words, e.g. 'left hip internal/external rotation (LeftUpLeg_z)'. dof: its URDF
+    name, or `BASE_TURN` for the orientation of the root. Other names are unchanged.
     """
     if dof == BASE_TURN:
         return f"pelvis orientation ({dof})"
@@ -151,11 +149,7 @@ def angle_table(skeleton: SkeletonTable) -> AngleTable:
 
 
 def foot_table(skeleton: SkeletonTable) -> AngleTable:
-    """Return the table of the angles of both feet in world, from which foot progression is computed.
-
-    Args:
-        skeleton: as for `angle_table`, whose error is raised.
-    """
+    """Return the table of the angles of both feet in world, for foot progression, as `angle_table` does."""
     return _table(skeleton, "foot")
 
 

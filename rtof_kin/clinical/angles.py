@@ -11,10 +11,9 @@ second     its complete orientation                the direction of its bone
 third      its complete orientation                its complete orientation
 =========  ======================================  =========================================
 
-The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a
-sensor); the direction where the joint and its only child are observed. A leaf without a sensor (hand, foot)
-has neither. An angle of a knee or elbow that is constant while the joint flexes is fixed by the model of the
-motion, and counts as unobserved.
+The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a sensor); the
+direction where the joint and its only child are observed. A leaf without a sensor (hand, foot) has neither. An angle of
+a knee or elbow that is constant while the joint flexes is fixed by the model of the motion, and counts as unobserved.
 
 **Coordinates of an OpenSim model** give clinical angles too, to compare them with those of a motion.
 
@@ -40,7 +39,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
 from rtof_kin.clinical.decomposition import DecomposedAngles, reliable_samples
-from rtof_kin.clinical.paths import BodyPaths
+from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
@@ -160,10 +159,20 @@ def clinical_angles(
         found.add(slice(None), motion, slice(None), None)
         return angles_of(found, ObservationMasks.of_poses(motion, skeleton))
     source = MotionSource.of(motion)
-    found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
+    return angles_and_paths(source, angle_table(source.skeleton.table))[0][0]
+
+
+def angles_and_paths(
+    source: MotionSource, *tables: AngleTable, standing: bool = False
+) -> tuple[list[ClinicalAngles], BodyPaths]:
+    """Return the angles of each table, and the paths, in one pass over the frames."""
+    found = [DecomposedAngles(source.skeleton, table, source.times) for table in tables]
+    paths = PathCollector(source.skeleton, source.times, standing)
     for block in source.blocks(margin=1, confidence=True):
-        found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
-    return angles_of(found, source.masks)
+        for one in found:
+            one.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
+        paths.add(block.frames, block.motion.poses, block.own)
+    return [angles_of(one, source.masks) for one in found], paths.paths(source.masks)
 
 
 def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngles:
@@ -202,10 +211,8 @@ def _segment_sources(masks: ObservationMasks) -> Sources:
 def _joint_angles(
     joint: JointCoordinateSystem, decomposed: Array, seen_by: Sources, masks: ObservationMasks
 ) -> tuple[Array, Sources, Mask]:
-    """Values, provenance and singular flags (T, 3) of one joint coordinate system.
-
-    Args:
-        decomposed: (T, 3) rad, see `DecomposedAngles`. seen_by: (T, J) of the segments.
+    """Values, provenance and singular flags (T, 3) of one joint coordinate system; decomposed: (T, 3) rad, see
+    `DecomposedAngles`; seen_by: (T, J) of the segments.
     """
     names, levels = masks.skeleton.names, masks.levels
     child = names.index(joint.child)

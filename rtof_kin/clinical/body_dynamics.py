@@ -2,28 +2,21 @@
 
 ``tau = M(q) a + h(q, v)`` (Pinocchio's recursive Newton-Euler). The first six rows are the wrench that the motion
 needs from outside. A foot that bears it all, and nothing else, turns them to zero and changes the torques of its leg.
+The wrench is given in world axes about a reference under the feet: the middle between heel and toe of the foot that
+bears the load, else the mean of those of both feet.
 
-The wrench is given in world axes about a reference under the feet: the middle between heel and toe of the
-foot that bears the load, else the mean of those of both feet.
-
-**Errors of a motion over time,** as far as they are known: for velocities and accelerations.
-
-A `Confidence` has the covariance C of the errors in each frame. How fast an error changes is not in it, and
-that decides about accelerations: a bias of 10 degrees has none, a ripple of 1 degree at 3 Hz 6 rad/s^2. So
-every error is modelled as a stationary process with the autocovariance ::
+A `Confidence` has the covariance C of the errors in each frame. How fast an error changes is not in it, and that
+decides about accelerations: a bias of 10 degrees has none, a ripple of 1 degree at 3 Hz 6 rad/s^2. So every error is a
+stationary process with the autocovariance ::
 
     C [(1 - s) + s exp(-t^2 / (2 l^2))]
 
-that is a constant part and a smooth fast one with a share s of the variance and a correlation time l
-(`ErrorSpectrum`). ``python -m benchmarks dynamics --corpus DIR --fit`` fits s and l of six groups to the
-errors of torques and of the wrench in reconstructions of the validation people (realistic 2D; 0, 8 and 10
-sensors), so that stated and actual root mean squares agree; the force is weighted to be stated too large
-rather than too small, and l is held near 0.12 s. `torques` says what held-out people get.
-
-Errors of all segments together: the turn of each segment in world is a linear function of its parent's and
-an independent rest, both from the stated covariances of the parent, the child, and the one in the other. Of
-all joint distributions with these covariances this one assumes least (maximum entropy). The position of the
-root is independent of the turns.
+that is a constant part and a smooth fast one with a share s of the variance and a correlation time l (`ErrorSpectrum`).
+``python -m benchmarks dynamics --corpus DIR --fit`` fits both to the errors of torques and of the wrench of the
+validation people; the force is weighted to be stated too large rather than too small, and l is held near 0.12 s. The
+turn of each segment in world is a linear function of its parent's and an independent rest, both from the stated
+covariances of the parent, the child, and the one in the other: of all joint distributions with these covariances this
+one assumes least (maximum entropy). The position of the root is independent of the turns.
 """
 
 from __future__ import annotations
@@ -90,11 +83,7 @@ class BodyDynamics:
     """
 
     def __init__(self, skeleton: SkeletonModel):
-        """Prepare the body.
-
-        Args:
-            skeleton: with the subject's mass.
-        """
+        """Prepare a body with the subject's mass."""
         self.skeleton = skeleton
         self._model, self._data = skeleton.model, skeleton.model.createData()
         self._root = self._model.getJointId("root_joint")
@@ -104,10 +93,8 @@ class BodyDynamics:
         self.segments, self._shares = _segment_shares(skeleton)
 
     def at(self, q: Array, v: Array, a: Array, carries: int) -> FrameDynamics:
-        """Return torques and wrench.
-
-        Args:
-            q, v, a: (nq,), (nv,), (nv,). carries: the foot that bears all load, by `SIDES`, or `UNKNOWN`.
+        """Return torques and wrench; q, v, a: (nq,), (nv,), (nv,); carries: the foot that bears all load, by `SIDES`,
+        or `UNKNOWN`.
         """
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q)  # rnea does not compute joint placements in world
@@ -212,11 +199,7 @@ class BodyDynamics:
 
 
 def sole_middle(skeleton: SkeletonModel, table: AngleTable, side: str) -> Array:
-    """Return the middle (3,) between heel and toe in the foot's link frame, m.
-
-    Args:
-        side: of `SIDES`.
-    """
+    """Return the middle (3,) between heel and toe in the foot's link frame, m; side: of `SIDES`."""
     points = [skeleton.landmarks[table.segments[f"{side} {word}"]][1] for word in ("heel", "toe")]
     return np.asarray(np.mean(points, axis=0))
 
@@ -299,11 +282,7 @@ class PoseErrors:
     """(n,) group in `SPECTRA` of each cause."""
 
     def gains(self, rate_hz: float) -> Array:
-        """Return `error_gains` (n, 4) of the causes.
-
-        Args:
-            rate_hz: of the motion, Hz.
-        """
+        """Return `error_gains` (n, 4) of the causes; rate_hz: of the motion, Hz."""
         by_group = {group: error_gains(rate_hz, SPECTRA[group]) for group in set(self.groups)}
         return np.array([by_group[group] for group in self.groups])
 
@@ -332,10 +311,8 @@ def error_gains(rate_hz: float, spectrum: ErrorSpectrum) -> Array:
 
 
 def pose_errors(skeleton: SkeletonModel, q: Array, confidence: Confidence, R: Array) -> PoseErrors:
-    """Return the errors of some frames of a motion; NaN where the root has no covariance.
-
-    Args:
-        q: (K, nq). R: (K, J, 3, 3) R_world_bone.
+    """Return the errors of some frames of a motion; NaN where the root has no covariance; q: (K, nq); R: (K, J, 3, 3)
+    R_world_bone.
     """
     names, parents = skeleton.names, skeleton.parents
     K, n = len(q), 3 * (len(names) + 1)

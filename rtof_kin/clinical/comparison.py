@@ -20,14 +20,15 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.clinical.angle_table import SIDES, angle_table
+from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
 from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_samples import Alignment, Pair, Samples, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import BodyPaths, body_paths
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
@@ -56,10 +57,8 @@ class CurveErrors:
 
 
 def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
-    """Compare two curves where both are known.
-
-    Args:
-        axis: (P,) of the samples. a, b: (P,) rad, with at least one common sample.
+    """Compare two curves where both are known; axis: (P,) of the samples; a, b: (P,) rad, with at least one common
+    sample.
     """
     known = np.isfinite(a) & np.isfinite(b)
     difference = (b - a)[known]
@@ -201,7 +200,7 @@ class Comparison:
 
 def compared(name: str, motion: Motion, recording: str = "") -> Compared:
     """Return a motion with its angles, strides and repetitions."""
-    angles, paths = clinical_angles(motion), body_paths(motion)
+    (angles,), paths = angles_and_paths(MotionSource.of(motion), angle_table(motion.skeleton.table))
     found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))
     return replace(found, repetitions=repetition_spans(paths, angles), recording=recording)
 
@@ -387,10 +386,8 @@ class Choice:
 
 
 def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
-    """Return the best shift of B beyond a given one; None if no common angle moves.
-
-    Args:
-        shift: s, added to the times of B before.
+    """Return the best shift of B beyond a given one; None if no common angle moves; shift: s, added to the times of B
+    before.
     """
     moved = replace(b.angles, times=b.angles.times + shift)
     try:
@@ -400,11 +397,7 @@ def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
 
 
 def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, by: By | None = None) -> Choice:
-    """Return the axis on which two motions are compared; the reason is empty if it is given.
-
-    Args:
-        clocks: their `agreement`.
-    """
+    """Return the axis on which two motions of some `agreement` are compared; the reason is empty if it is given."""
     if by is not None:
         return _requested(a, b, by)
     if a.other_system or b.other_system:

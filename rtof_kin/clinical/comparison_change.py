@@ -1,49 +1,25 @@
-"""Test of a difference B - A between two motions with stated errors.
+"""Differences B - A between two motions with stated errors, and their tests (docs/compare.md, docs/follow.md).
 
-**Error of a mean.** The error e(t) of an angle has the standard deviation s(t) of the motion's confidence. It
-is autocorrelated, partly constant over a recording (a sensor askew, a neutral posture). By Cauchy and Schwarz
+The variance V of a difference is the sum of these parts, as if the errors of A and B were independent. Of one recording
+they are not; those that both share cancel, and V is too large.
 
-::
+- The stated error of each mean: the mean of the standard deviations s(t) over T frames or strides, which by Cauchy and
+  Schwarz never claims too little, whatever the correlation of the error. Of a range: `range_of_motion.range_deviation`.
+- The spread d^2 / n of each over n strides or repetitions: another day's mean would differ by that. A single repeat
+  takes d from the other motion; both sides in the same repetitions have one d, that of the differences.
 
-    Var(mean of e) = (1/T^2) sum_t sum_u Cov(e(t), e(u))  <=  ((1/T) sum_t s(t))^2
+B - A over sqrt(V) is tested against Student's t, two-sided, with the degrees of freedom of Welch and Satterthwaite, in
+which stated standard deviations count as known. The p-values of all angles are adjusted by Holm (Scandinavian Journal
+of Statistics 6, 1979), so that the chance of even one false "changed" among them is at most `LEVEL`.
 
-with equality for an error that is constant up to its size. So the mean of the standard deviations is used,
-which never claims too little, whatever the correlation; T frames or strides do not make it smaller.
-
-**Error of a range** between the lowest and the highest sample: `range_of_motion.range_deviation`, as for
-independent errors at both. A constant error cancels, so this is too much for all that are not opposite.
-
-**Spread.** Where a movement is repeated (n strides, repetitions) with the standard deviation d between
-repeats, d^2 / n is added: another day's mean would differ by that. A single repeat takes d from the other
-motion. Both sides in the same repetitions have one d, that of the differences.
-
-**Variance** V of the difference: the sum of these four parts, as if the errors of A and B were independent.
-Of one recording they are not; those that both share cancel, and V is too large.
-
-**Test.** B - A over sqrt(V) against Student's t, two-sided, with the degrees of freedom of Welch and
-Satterthwaite, in which stated standard deviations count as known:
-
-::
-
-    nu = V^2 / ((d_A^2/n_A)^2 / (n_A - 1) + (d_B^2/n_B)^2 / (n_B - 1))
-
-The p-values of all angles are adjusted by Holm (Scandinavian Journal of Statistics 6, 1979), so that the
-chance of even one false "changed" among them is at most `LEVEL`.
-
-**Mixed error.** Error whose variance is partly known and partly estimated from few repeats.
-
-The error of a difference is e ~ N(0, K + v). K is known (stated bands); v is estimated by s^2 with nu
-degrees of freedom, nu s^2 / v ~ chi^2_nu (repeats). The two-sided p-value of a difference d averages the
-normal one over what s^2 leaves open of v:
-
-::
+**Mixed error** e ~ N(0, K + v): K is known (stated bands); v is estimated by s^2 with nu degrees of freedom,
+nu s^2 / v ~ chi^2_nu (repeats). The two-sided p-value of a difference d averages over what s^2 leaves open of v::
 
     p(d) = E[2 Phi(-|d| / sqrt(K + nu s^2 / x))],   x ~ chi^2_nu
 
-This is Student's t for K = 0 and the normal for s = 0; between them it is the distribution of Behrens and
-Fisher (Fisher, Annals of Eugenics 6, 1935) with one of the variances known. Its false positives never
-exceed the level (tests/clinical/test_comparison_change.py). Degrees of freedom by Satterthwaite do not keep small
-levels, at which multiple tests are decided: with nu = 2 and K = 0.1 v there are 16 times too many at 0.1 %.
+the distribution of Behrens and Fisher (Fisher, Annals of Eugenics 6, 1935) with one of the variances known. Its false
+positives never exceed the level (tests/clinical/test_comparison_change.py). Degrees of freedom by Satterthwaite do not
+keep small levels, at which multiple tests are decided: with nu = 2 and K = 0.1 v there are 16 times too many at 0.1 %.
 """
 
 from __future__ import annotations
@@ -85,11 +61,7 @@ class MixedError:
         return self.dof * ((self.known + self.estimated) / self.estimated) ** 2 if self.estimated else np.inf
 
     def p(self, difference: float) -> float:
-        """Return the two-sided p-value of a difference.
-
-        Args:
-            difference: in the unit of the error.
-        """
+        """Return the two-sided p-value of a difference, in the unit of the error."""
         if not np.isfinite(self.dof) or not self.estimated:
             return float(special.erfc(abs(difference) / self.sigma / np.sqrt(2)))
         chi2, weights = _average(self.dof)
@@ -97,10 +69,8 @@ class MixedError:
         return float(weights @ special.erfc(abs(difference) / sigmas / np.sqrt(2)))
 
     def half_width(self, level: float) -> float:
-        """Return the difference whose p-value is a level; NaN if the error is unknown.
-
-        Args:
-            level: two-sided, e.g. 0.05 for half of a 95 % interval.
+        """Return the difference whose p-value is a level; NaN if the error is unknown; level: two-sided, e.g. 0.05 for
+        half of a 95 % interval.
         """
         return _half_width(self, level)
 
@@ -209,11 +179,7 @@ class Change:
 
 
 def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: bool = True) -> Change:
-    """Return a difference with its test, not yet adjusted for others.
-
-    Args:
-        repeats: what their values are, see `Repeats`.
-    """
+    """Return a difference with its test, not yet adjusted for others; repeats: what their values are, see `Repeats`."""
     bands = a.band_sigma**2 + b.band_sigma**2
     spreads: list[tuple[float, float]] = []
     if repeats == "independent":
@@ -232,10 +198,8 @@ def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: boo
 
 
 def change_with(measure: str, a: float, b: float, error: MixedError) -> Change:
-    """Return a difference whose error has a known distribution, not yet adjusted for others.
-
-    Args:
-        a, b: of both, in one unit. error: of the difference; not tested if it has none.
+    """Return a difference whose error has a known distribution, not yet adjusted for others; a, b: of both, in one
+    unit; error: of the difference; not tested if it has none.
     """
     p, known = float("nan"), error.sigma > _NO_SIZE
     if known and np.isfinite(b - a):

@@ -57,11 +57,7 @@ class Samples:
         return np.asarray(np.isfinite(self.values).all(axis=1))
 
     def only(self, repeats: Mask) -> Samples:
-        """Return some of the repeats.
-
-        Args:
-            repeats: (n,) which.
-        """
+        """Return some of the repeats, by a mask (n,)."""
         return Samples(self.values[repeats], None if self.sigma is None else self.sigma[repeats])
 
     @property
@@ -132,11 +128,7 @@ def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
 
 
 def in_time(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: float) -> tuple[Array, list[Pair]]:
-    """Return the common instants (P,) s on the clock of A, and the angles at them.
-
-    Args:
-        shift: s, added to the times of B.
-    """
+    """Return the common instants (P,) s on A's clock, and the angles at them; shift: s, added to the times of B."""
     a, b = a.select(names), b.select(names)
     inside = (a.times >= b.times[0] + shift - 1e-9) & (a.times <= b.times[-1] + shift + 1e-9)
     times, at = a.times[inside], np.clip(a.times[inside] - shift, b.times[0], b.times[-1])
@@ -165,11 +157,9 @@ def in_time(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: f
 def over_phases(
     a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], spans_a: Spans, spans_b: Spans
 ) -> list[Pair]:
-    """Return the angles at `PHASES` of all repeats in which they are usable throughout.
-
-    Args:
-        spans_a, spans_b: repeats; angles of one side are taken over those of that side, angles of the trunk over
-            those of the first side that both have.
+    """Return the angles at `PHASES` of all repeats in which they are usable throughout; spans_a, spans_b: repeats;
+    angles of one side are taken over those of that side, angles of the trunk over those of the first side that both
+    have.
     """
     pairs = []
     for name in names:
@@ -200,11 +190,7 @@ def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
 
 
 def repeats_of(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
-    """Return all repeats of one angle at `PHASES`, on one turn.
-
-    Args:
-        spans: start and stop of each repeat, s.
-    """
+    """Return all repeats of one angle at `PHASES`, on one turn; spans: start and stop of each repeat, s."""
     values, sigma = usable(angles.select([name]))
     at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
     gap, shape = _GAP / angles.rate_hz, (len(spans), len(PHASES))

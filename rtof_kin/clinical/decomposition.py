@@ -29,6 +29,7 @@ from rtof_kin.clinical.angle_table import AngleTable, JointCoordinateSystem
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import some
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.poses import PoseSequence
 
@@ -43,11 +44,9 @@ _MARGIN: Final = 0.1  # [s] before and after a sample that is too fast, excluded
 
 
 def angle_sigmas(R: dict[str, Array], table: AngleTable, skeleton: SkeletonModel, confidence: Confidence) -> Array:
-    """Return standard deviations (T, A) rad of all angles of a table, in its order.
-
-    Args:
-        R: rotations (T, 3, 3) of each joint coordinate system, from `relative_rotations`.
-        confidence: of the motion; angles of segment pairs that it does not contain are NaN.
+    """Return standard deviations (T, A) rad of all angles of a table, in its order; R: rotations (T, 3, 3) of each
+    joint coordinate system, from `relative_rotations`; confidence: of the motion; angles of segment pairs that it does
+    not contain are NaN.
     """
     frames, columns = isb_frames(skeleton, table), []
     for joint in table.joints:
@@ -65,10 +64,8 @@ def angle_sigmas(R: dict[str, Array], table: AngleTable, skeleton: SkeletonModel
 
 
 def angle_rates(sequence: str, R: Array) -> Array:
-    """Return derivatives (T, 3, 3) of three angles by a rotation vector e in ``R @ exp(e)``, numerically.
-
-    Args:
-        sequence: as in `decompose`. R: rotations (T, 3, 3).
+    """Return derivatives (T, 3, 3) of three angles by a rotation vector e in ``R @ exp(e)``, numerically; sequence: as
+    in `decompose`; R: rotations (T, 3, 3).
     """
     columns = []
     for axis in np.eye(3):
@@ -80,11 +77,9 @@ def angle_rates(sequence: str, R: Array) -> Array:
 def reliable_samples(
     table: AngleTable, times: Array, too_fast: Mask, sigma: Array | None, known: Mask
 ) -> tuple[Mask, str]:
-    """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none.
-
-    Args:
-        times: (T,) s. too_fast: (T, joints) from `turns_too_fast`.
-        sigma: (T, A) rad; None if the motion has no confidence. known: (T, A) samples with a value.
+    """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none; times: (T,) s;
+    too_fast: (T, joints) from `turns_too_fast`; sigma: (T, A) rad; None if the motion has no confidence; known: (T, A)
+    samples with a value.
     """
     reliable = np.repeat(np.stack([_around(times, own) for own in too_fast.T], axis=1), 3, axis=1)
     if sigma is not None:
@@ -95,21 +90,16 @@ def reliable_samples(
     share = excluded.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     worst = int(share.argmax())
     spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in signals.runs(excluded[:, worst])]
-    more = f" and {len(spans) - 3} more" if len(spans) > 3 else ""
     count = int(np.count_nonzero(excluded.any(axis=0)))
     return reliable, (
         f"{count} angles have unreliable samples, which are excluded from ranges, peaks and gait: 95 % bands "
         f"beyond +-{np.degrees(WIDEST_BAND):.0f} deg, or implausibly fast rotation; most of "
-        f"{table.rows[worst].name}: {100 * share[worst]:.0f} % of them, at {', '.join(spans[:3])}{more}"
+        f"{table.rows[worst].name}: {100 * share[worst]:.0f} % of them, at {some(spans)}"
     )
 
 
 def turns_too_fast(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
-    """Return a mask (T,) of frames from which the rotation to the next one is implausibly fast.
-
-    Args:
-        times: (T,) s. R: (T, 3, 3), NaN where unknown.
-    """
+    """Return a mask (T,) of frames from which R (T, 3, 3), NaN where unknown, turns implausibly fast to the next."""
     fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
     out = np.zeros(len(R), dtype=np.bool_)
     known: Mask = np.asarray(np.isfinite(R).all(axis=(1, 2)))
@@ -176,10 +166,8 @@ def decompose(sequence: str, R: Array) -> Array:
 
 
 def near_singular(sequence: str, angles: Array) -> Mask:
-    """Return a mask (...) of postures within 5 degrees of one where only the sum of the outer two is defined.
-
-    Args:
-        sequence: as in `decompose`. angles: (..., 3) radians.
+    """Return a mask (...) of postures within 5 degrees of one where only the sum of the outer two is defined; sequence:
+    as in `decompose`; angles: (..., 3) radians.
     """
     distance = np.abs(np.sin(angles[..., 1]) if sequence == "yxy" else np.cos(angles[..., 1]))
     return np.asarray(distance < np.sin(SINGULAR_MARGIN))
@@ -210,11 +198,7 @@ def continuous(sequence: str, angles: Array, center: Array) -> Array:
 
 
 def relative_rotations(R_world_bone: Array, skeleton: SkeletonModel, table: AngleTable) -> dict[str, Array]:
-    """Return R_parent_child (T, 3, 3) in ISB frames of all joint coordinate systems, mirrored if left.
-
-    Args:
-        R_world_bone: (T, J, 3, 3).
-    """
+    """Return R_parent_child (T, 3, 3) in ISB frames of all joint systems, mirrored if left, of (T, J, 3, 3)."""
     R_world_isb = R_world_bone @ isb_frames(skeleton, table)
     out = {}
     for joint in table.joints:
@@ -234,22 +218,14 @@ class DecomposedAngles:
     """
 
     def __init__(self, skeleton: SkeletonModel, table: AngleTable, times: Array):
-        """Allocate the angles.
-
-        Args:
-            times: (T,) s.
-        """
+        """Allocate the angles; times: (T,) s."""
         self.skeleton, self.table, self.times = skeleton, table, times
         self.angles: Array = np.full((len(times), len(table.rows)), np.nan)
         self.sigma: Array | None = None
         self.too_fast: Mask = np.zeros((len(times), len(table.joints)), dtype=np.bool_)
 
     def add(self, frames: slice, poses: PoseSequence, own: slice, confidence: Confidence | None) -> None:
-        """Add a block.
-
-        Args:
-            poses: these and, if there is one, the next frame. own: `frames` in poses.
-        """
+        """Add a block; poses: these and, if there is one, the next frame; own: `frames` in poses."""
         self.skeleton.check_joints(poses.names)
         R = relative_rotations(poses.R_world_bone, self.skeleton, self.table)
         for j, joint in enumerate(self.table.joints):

@@ -1,40 +1,25 @@
 """Did a person change over visits? Measures of every visit, their errors, and changes from the baseline.
 
-`follow_up` has the mathematics, `visits` the measures. The changes of all measures and
-visits are tested together: with Holm's correction (`comparison_change.adjusted`) the chance of even one false
-verdict is at most 5 %.
-
-**Measurement error.** Standard error of measurement (SEM) and minimal detectable change (MDC) of one measure.
-
-A visit v has n_v trials, repetitions of one movement. Trial t gives
+All changes are tested together: with Holm's correction (`comparison_change.adjusted`) the chance of even one false
+verdict is at most 5 %. Trial t of visit v, one of n_v, gives (docs/follow.md)
 
 ::
 
     y_vt = mu_v + a + c_v + m_vt + w_vt
 
-with the true value mu_v, the error a of measurement that all visits share (what the method gets wrong about
-this person; it cancels in a change), the error c_v that the trials of a visit share (camera, mounting,
-neutral posture), the error m_vt of each trial by itself, and the variation w_vt of the person.
-
-- **Bands** state the variance B^2 of a + c + m together. `BandShares` divides it. A reconstruction does not
-  say how; by default all of it is c, which claims least: then averaging trials does not help, and nothing cancels.
-- **Trials** vary within visits by the variance W^2 of m + w, the mean square within visits of a one-way
-  analysis of variance, with nu = sum of (n_v - 1) degrees of freedom.
-
-m is in both. The error of a visit's mean that counts in a change is therefore
+with the true value mu_v, the error a that all visits share, which cancels in a change, c_v that the trials of a visit
+share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together,
+which `BandShares` divides; by default all of it is c, which claims least. Trials vary within visits by the variance W^2
+of m + w. m is in both, and counted once. The error of a visit's mean that counts in a change is
 
 ::
 
     V_v = Var(c) + W^2 / n_v,     Var(c) = B_v^2 (1 - share of a) - min(B_v^2 (share of m), W^2)
 
-so m is counted once: taken out of the bands by at most what the trials show of it, and otherwise left in.
-With the default shares m stays in B as well as in W; V_v is then too large, by Var(m) at most, never too
-small. Without repeated trials V_v is B_v^2 (share of c + share of m / n_v), and w is not in it.
-
-The SEM is the standard deviation of an error, the MDC the difference of two visits that such errors exceed with a
-probability of 5 %: MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59,
-2006: SEM of agreement), with Student's t in place of 1.96 where the SEM is estimated from few trials, and `MixedError`
-where it is partly so. A true change of the size of the MDC is shown in half of the cases.
+and without repeated trials B_v^2 (share of c + share of m / n_v). The minimal detectable change of a standard error of
+measurement (SEM) is MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59,
+2006), with Student's t in place of 1.96 where the SEM is estimated from few trials, and `MixedError` where it is partly
+so.
 """
 
 from __future__ import annotations
@@ -149,11 +134,8 @@ class MeasurementErrors:
 
 
 def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> MeasurementErrors:
-    """Return the standard errors of one measure.
-
-    Args:
-        visits: the values of the trials of each visit, at least one, and the mean standard deviation that the bands
-            of a visit state (0: they state none).
+    """Return the standard errors of one measure; visits: the values of the trials of each visit, at least one, and the
+    mean standard deviation that the bands of a visit state (0: they state none).
     """
     within = mean_square_within([one.values for one in visits])
     bands = MixedError(float(np.mean([one.band_sigma**2 for one in visits])) * (1 - shares.all_visits))
@@ -166,10 +148,8 @@ def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> Measur
 
 
 def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
-    """Return the mean square within groups, unit^2, and its degrees of freedom; (NaN, 0) without repeats.
-
-    Args:
-        groups: (n_v,) values of each visit.
+    """Return the mean square within groups, unit^2, and its degrees of freedom; (NaN, 0) without repeats; groups:
+    (n_v,) values of each visit.
     """
     dof = sum(len(group) - 1 for group in groups if len(group))
     if not dof:
@@ -322,11 +302,7 @@ class FollowUp:
         return len(self.visits) - 1 if self.baseline != len(self.visits) - 1 else self.baseline - 1
 
     def of(self, outcome: Outcome, visit: int) -> tuple[Followed, ...]:
-        """Return the measures with an outcome.
-
-        Args:
-            outcome: any.
-        """
+        """Return the measures with an outcome."""
         return tuple(one for one in self.measures if one.outcome(visit) is outcome)
 
 

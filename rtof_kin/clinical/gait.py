@@ -160,11 +160,7 @@ def recognise_gait(strides: Sequence[Stride], events: GaitEvents) -> GaitVerdict
 
 
 def share_of_time(strides: Sequence[Stride], times: Array) -> float:
-    """Return the share of a recording within strides.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return the share of a recording at times (T,), s, within strides."""
     inside = np.zeros(len(times), dtype=np.bool_)
     for stride in strides:
         inside[signals.within(times, stride.start, stride.stop)] = True
@@ -287,10 +283,8 @@ class CycleCurves:
 
 
 def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> GaitAnalysis:
-    """Find strides and compute their parameters by side, and the symmetry of the sides.
-
-    Args:
-        angles: of the same motion; strides with unreliable knee flexion are excluded, with a note.
+    """Find strides and compute their parameters by side, and the symmetry of the sides; angles: of the same motion;
+    strides with unreliable knee flexion are excluded, with a note.
     """
     found = [stride for side in events.feet for stride in find_strides(side, events)]
     strides = sorted((s for s in found if _trusted(s, angles)), key=lambda stride: stride.start)

@@ -174,11 +174,7 @@ class Stride:
         return (self.toe_off - self.start) / self.stride_time
 
     def frames(self, times: Array) -> slice:
-        """Return the samples of the stride and one beyond either end.
-
-        Args:
-            times: (T,) s.
-        """
+        """Return the samples of the stride at times (T,), s, and one beyond either end."""
         first, last = np.searchsorted(times, [self.start, self.stop])
         return slice(max(int(first) - 1, 0), int(last) + 1)
 

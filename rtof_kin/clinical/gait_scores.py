@@ -1,55 +1,21 @@
-"""Gait Variable Scores (GVS), Movement Analysis Profile (MAP) and Gait Profile Score (GPS), with bands.
+"""Gait Variable Scores (GVS), Movement Analysis Profile (MAP), Gait Profile Score (GPS) and Gait Deviation Index (GDI).
 
-Baker et al., Gait & Posture 30 (2009) and 35 (2012). With the difference d of a person's mean curve from the
-mean of the reference, at P = 51 instants of the gait cycle of one side::
+Baker et al., Gait & Posture 30 (2009) and 35 (2012); Schwartz and Rozumalski, Gait & Posture 28 (2008), with features
+and scale of the reference's own people. docs/gait_scores.md has the mathematics, `tests/clinical/test_gait_scores.py`
+checks it. With the difference d of a person's mean curve from the mean of the reference, at P = 51 instants of the
+cycle of a side::
 
     GVS_v = sqrt(mean over the cycle of d_v^2)        GPS = sqrt(mean over variables of GVS_v^2)
 
-over the nine variables of a side; the overall GPS over fifteen, the nine of the left side and the six of the
-right that are not of the pelvis, which is one for both.
+Errors e of standard deviation s add mean(s^2) to a squared score (`Score.noise`), whatever their correlation, and
+change a score by at most 1.96 sqrt(mean of s^2) in at least 95 of 100 cases (Szekely and Bakirov, Probability Theory
+and Related Fields 126, 2003), those of the GDI's distance by 1.96 sqrt(sum of s^2). The mean over n strides has its own
+variance v / n, which is added to s^2: to the bias as it is, to the band times the ratio of Student's to the normal
+quantile squared.
 
-**Noise bias.** With errors e of mean 0 and standard deviation s, whatever their correlation,
-
-    E[GVS_observed^2] = GVS^2 + mean of s^2
-
-so a score of noisy curves is too large. `Score.noise` is the root of that second term, and `Score.corrected`
-the root of the difference. The value itself is not corrected: it is what the definition says.
-
-**Band.** All of d are one vector, and by the triangle inequality observed and true score differ by at most
-the root mean square of e. Of all Gaussian e with the same mean of s^2, one that lasts (of rank one) most often exceeds
-a limit beyond 1.24 of its root (Szekely and Bakirov, Probability Theory and Related Fields 126, 2003). So
-
-    |score_observed - score| <= 1.96 sqrt(mean of s^2)
-
-in at least 95 of 100 cases, for errors that are independent from frame to frame as for those that last
-through the whole recording, are shared by several angles, or anything between. Strides do not average errors
-out. The mean over n strides has its own variance v / n, which is added to s^2: to the bias as it is, to the
-band times the ratio of Student's to the normal quantile squared, as v is estimated.
-
-**Gait Deviation Index** (GDI) of a side, relative to a reference with the curves of single people.
-
-Schwartz and Rozumalski, Gait & Posture 28 (2008). The nine curves of one side are a vector g of 459 numbers.
-Gait features are its coordinates along the right singular vectors F of the reference, about its mean m, as
-many as have 98 % of the variance. With the distance D = |F^T (g - m)|::
-
-    GDI = 100 - 10 (ln D - mean of ln D_r) / (standard deviation of ln D_r)
-
-over the people r of the reference, right and left. Two differences from the publication, whose features are
-those of 6,702 strides of patients and whose scale is that of 166 healthy children:
-
-- The features are those of the reference's own people. What differs in no way in which healthy people differ
-  is outside of them, and not in the index; `DeviationIndex.explained` is the share that is inside.
-- D_r of a person is that from mean and features of the *others*. Features fitted to a person contain all of
-  that person's deviation and less of another's, so with few people every other healthy person would have an
-  index above 100. So scaled, the people of the reference have mean 100 and standard deviation 10 exactly.
-
-The band is that of D by the same bound as for the scores (`gait_scores`): D differs from its true value by at
-most 1.96 sqrt(sum of s^2) in at least 95 of 100 cases, and the index falls monotonically with D.
-
-**Reference.** Reference of the gait scores from recordings of healthy people.
-
-Every person counts once: the mean over the strides of a side in all recordings of that person. Mean and
-standard deviation of the reference are those over people, right and left pooled.
+The GDI is 100 - 10 (ln D - mean of ln D_r) / (standard deviation of ln D_r), with the distance D from the reference's
+mean along its gait features, and D_r of its person r that from mean and features of the *others*. A person of the
+reference counts once, with the mean over the strides of a side in all recordings; right and left are pooled.
 """
 
 from __future__ import annotations
@@ -254,11 +220,7 @@ class GaitFeatures:
     """(N, 2) rad, of people, right and left, each from mean and features of the others."""
 
     def index(self, distance: Array | float) -> Array:
-        """Return the index of a distance.
-
-        Args:
-            distance: (...) rad, from the mean along the features.
-        """
+        """Return the index of a distance (...), rad, from the mean along the features."""
         with np.errstate(divide="ignore"):
             return np.asarray(100 - 10 * (np.log(distance) - self.log_mean) / self.log_sd)
 
@@ -374,11 +336,7 @@ def build_reference(
 
 
 def unsuitable(cycles: GaitCycles, least_strides: int) -> str:
-    """Return why a person cannot be part of a reference; '' if that is possible.
-
-    Args:
-        least_strides: of each side, with all variables.
-    """
+    """Return why a person cannot be part of a reference, '' for one with as many strides of each side."""
     if cycles.why_not:
         return cycles.why_not
     for side in SIDES:

@@ -1,24 +1,20 @@
-"""Ground reaction force and centre of pressure from the motion, and what of them is not identifiable.
+"""Ground reaction force and centre of pressure from the motion, and what is not identifiable (docs/dynamics.md).
 
-The wrench that a motion needs from outside (`JointTorques.wrench`) is what the floor exerts, where nothing
-else touches the person. Its force F and the point of the floor about which it has no horizontal moment, the
-centre of pressure, follow in single and in double support. With one foot on the floor they are that foot's.
-How two feet share the force is not identifiable from the motion: forces between the feet along the line of
-their centres of pressure leave the motion as it is. What is known is an interval: both centres of pressure
-lie inside the soles, and no foot pulls. The share s of the right foot satisfies
+The wrench that a motion needs from outside (`JointTorques.wrench`) is what the floor exerts, where nothing else touches
+the person. Its force F and the point of the floor about which it has no horizontal moment, the centre of pressure,
+follow in single and in double support. How two feet share the force is not identifiable; both centres of pressure lie
+inside the soles, and no foot pulls, so the share s of the right foot satisfies
 
 ::
 
     p = s p_right + (1 - s) p_left      p_right, p_left inside their soles
 
-for the centre of pressure p of both, and its extremes are vertices of a linear programme, solved in closed
-form. The interval stated is the widest over p and its 95 % band.
+for the centre of pressure p of both: its extremes are vertices of a linear programme, solved in closed form, and the
+interval stated is the widest over p and its 95 % band.
 
-**Contacts.** Which foot is on the floor in each frame, by the motion alone.
-
-In strides of walking the gait events say it. Elsewhere a foot may bear load while its heel or its toe is
-low and slow; a foot whose orientation was mostly unobserved is judged by its ankle. The floor is as high as
-the slow points usually are. No other contact is seen: a seat, a rail or a wall bears load unnoticed.
+Contacts are those of gait events in strides of walking. Elsewhere a foot may bear load while its heel or its toe (its
+ankle where its orientation was mostly unobserved) is low and slow; the floor is as high as the slow points usually are.
+No other contact is seen: a seat, a rail or a wall bears load unnoticed.
 """
 
 from __future__ import annotations
@@ -115,7 +111,8 @@ def foot_contacts(paths: BodyPaths, gait: GaitAnalysis) -> FootContacts:
         Contact.NONE,
     ).astype(np.uint8)
     walked = single_support(gait)
-    stance = both_stand(gait)
+    stands, swings = _phases(gait)
+    stance = stands.all(axis=0) & ~swings.any(axis=0)
     state[(walked != UNKNOWN) & ~unseen] = (walked + 1)[(walked != UNKNOWN) & ~unseen]
     state[stance & ~unseen] = Contact.BOTH
     if by_ankle:
@@ -136,12 +133,6 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
     for side in range(len(SIDES)):
         out[stands[side] & swings[1 - side]] = side
     return out
-
-
-def both_stand(gait: GaitAnalysis) -> Mask:
-    """Return (T,) frames in which both feet stand by their strides."""
-    stands, swings = _phases(gait)
-    return np.asarray(stands.all(axis=0) & ~swings.any(axis=0))
 
 
 def _phases(gait: GaitAnalysis) -> tuple[Mask, Mask]:
@@ -271,7 +262,9 @@ class GroundReaction:
 def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
     """Return force and centre of pressure."""
     force = torques.wrench[:, :3]
-    covariance = _total(torques.wrench_covariances)
+    by_motion, by_masses = torques.wrench_covariances.astype(float)
+    unknown = np.isnan(by_motion).all(axis=(1, 2), keepdims=True)
+    covariance = np.where(unknown, 0.0, by_motion) + by_masses
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
     weight = torques.weight_kg * STANDARD_GRAVITY
     missed = (contacts.state == Contact.NONE) & (force[:, 2] > MISSED * weight)
@@ -298,13 +291,6 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
         (),
     )
     return replace(found, notes=(*_notes(found, missed), *contacts.notes))
-
-
-def _total(parts: NDArray[np.float32]) -> Array:
-    """Sum (T, 6, 6) of the covariances (2, T, 6, 6) by motion, where it is known, and masses."""
-    total = parts.astype(float)
-    missing = np.isnan(total[0]).all(axis=(1, 2))
-    return np.asarray(np.where(missing[:, None, None], 0.0, total[0]) + total[1])
 
 
 def _pressure(torques: JointTorques, covariance: Array, floor: float) -> tuple[Array, Array]:
@@ -457,9 +443,8 @@ def _notes(found: GroundReaction, missed: Mask) -> list[str]:
     if percent(flight[known]) > 0:
         residual = np.linalg.norm(found.force[known & flight], axis=1) / found.body_weight
         notes.append(
-            "without a foot on the floor the force should be zero, and is "
-            f"{np.sqrt(np.mean(residual**2)):.2f} body weights (root mean square): the error of the motion's "
-            "acceleration"
+            f"without a foot on the floor the force should be zero, and is {np.sqrt(np.mean(residual**2)):.2f} body "
+            "weights (root mean square): the error of the motion's acceleration"
         )
     if percent(((found.state == Contact.NOT_KNOWN) & ~missed)[known]) > 0:
         notes.append("where a foot is unobserved, it is not known which feet bear load")

@@ -56,11 +56,7 @@ class PathCollector:
     """Paths of a whole motion, added block by block."""
 
     def __init__(self, skeleton: SkeletonModel, times: Array, standing: bool = False):
-        """Allocate the paths.
-
-        Args:
-            times: (T,) s.
-        """
+        """Allocate the paths; times: (T,) s."""
         self._skeleton, self._times = skeleton, times
         self._table = angle_table(skeleton.table)
         words = ("foot", "heel", "toe")
@@ -72,11 +68,7 @@ class PathCollector:
         self._rate_hz = float(1 / np.median(np.diff(times))) if len(times) > 1 else 60.0
 
     def add(self, frames: slice, poses: PoseSequence, own: slice) -> None:
-        """Add a block.
-
-        Args:
-            poses: these, and the frames beside them if there are any. own: `frames` in poses.
-        """
+        """Add a block; poses: these, and the frames beside them if there are any; own: `frames` in poses."""
         self._skeleton.check_joints(poses.names)
         for term, (joint, offset) in self._landmarks.items():
             (j,) = self._skeleton.index(joint)

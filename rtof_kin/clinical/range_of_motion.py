@@ -151,10 +151,8 @@ def range_deviation(low_sigma: float, high_sigma: float) -> float:
 
 
 def angular_velocity(angles: ClinicalAngles) -> Array:
-    """Return time derivatives (T, A) of clinical angles, rad/s; NaN where singular, unknown or unreliable.
-
-    Args:
-        angles: to smooth and differentiate; single frames between gaps have no velocity.
+    """Return time derivatives (T, A) of clinical angles, rad/s; NaN where singular, unknown or unreliable; angles: to
+    smooth and differentiate; single frames between gaps have no velocity.
     """
     rate_hz = angles.rate_hz
     columns = [_velocity(angles, column, rate_hz) for column in range(len(angles.rows))]
@@ -177,10 +175,8 @@ def _usable(angles: ClinicalAngles, column: int) -> Array:
 
 
 def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Low-pass values; unchanged if the rate is too low or the stretch too short.
-
-    Args:
-        values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency, Hz.
+    """Low-pass values; unchanged if the rate is too low or the stretch too short; values: (T, ...); rate_hz: sampling
+    rate, Hz; cutoff_hz: -3 dB frequency, Hz.
     """
     if cutoff_hz >= 0.45 * rate_hz or len(values) < rate_hz / cutoff_hz:
         return values
@@ -226,11 +222,8 @@ def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
 
 
 def _beyond(angles: ClinicalAngles, column: int, ends: Array, sigma: float, sign: int) -> UncertainEnd | None:
-    """Unreliable samples of an angle that may lie beyond a reliable end; each counts for the nearer end.
-
-    Args:
-        ends: (2,) rad, this reliable end and the other. sigma: rad, of this end.
-        sign: 1 for the highest, -1 for the lowest.
+    """Unreliable samples of an angle that may lie beyond a reliable end; each counts for the nearer end; ends: (2,)
+    rad, this reliable end and the other; sigma: rad, of this end; sign: 1 for the highest, -1 for the lowest.
     """
     values, end = sign * angles.values[:, column], sign * float(ends[0])
     doubtful = np.isfinite(values) & ~np.isfinite(angles.trusted_angle(column)) & ~angles.singular[:, column]

@@ -65,9 +65,7 @@ class RepetitionAnalysis:
 
     @property
     def total_time(self) -> float:
-        """Seconds from the start of the first to the end of the last, e.g. of five times sit-to-stand; NaN
-        without any.
-        """
+        """Seconds from the start of the first to the end of the last, e.g. of five sit-to-stands; NaN without any."""
         if not self.repetitions:
             return float("nan")
         first, last = self.repetitions[0], self.repetitions[-1]

@@ -36,8 +36,7 @@ class Travel:
     """Way and turning of the pelvis; NaN where it was never observed."""
 
     path_length: float
-    """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight
-    across gaps."""
+    """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight across gaps."""
     displacement: float
     """[m] distance from the first to the last point of that path, never longer; 0 if below `LEAST_WAY`."""
     direction: float
@@ -118,10 +117,8 @@ class _Turns:
         return np.asarray(np.abs(self.angles) > BAND_95 * error)
 
     def sum(self, sign: int) -> tuple[float, float]:
-        """Return the sum of the certain turns to one side and its standard deviation, rad.
-
-        Args:
-            sign: 1 for the left, -1 for the right.
+        """Return the sum of the certain turns to one side and its standard deviation, rad; sign: 1 for the left, -1 for
+        the right.
         """
         own = self.certain & (sign * self.angles > 0)
         both = np.hypot(self.sigma[own], self.against_path[own])
@@ -129,11 +126,8 @@ class _Turns:
 
 
 def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None = None) -> Travel:
-    """Return way and turning of a person.
-
-    Args:
-        paths: of a motion in world, z up.
-        heading_sigma: (T,) rad, standard deviation of the heading of the pelvis; None if unknown.
+    """Return way and turning of a person; paths: of a motion in world, z up; heading_sigma: (T,) rad, standard
+    deviation of the heading of the pelvis; None if unknown.
     """
     pelvis, masks, nan = paths.joint("pelvis"), paths.masks, float("nan")
     seen: Mask = masks.position_observed[:, pelvis]
@@ -166,10 +160,8 @@ def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None =
 
 
 def _turns(times: Array, heading: Array, sigma: Array, path: Array) -> _Turns | None:
-    """Turns of a heading (T,), rad, with their errors; None if it was never observed.
-
-    Args:
-        times: (T,) s. heading, sigma: (T,) rad. path: (T, 2) m, low-passed.
+    """Turns of a heading (T,), rad, with their errors; None if it was never observed; times: (T,) s; heading, sigma:
+    (T,) rad; path: (T, 2) m, low-passed.
     """
     found = []
     moves = np.gradient(path, times, axis=0) if len(times) > 1 else np.full(path.shape, np.nan)

@@ -39,11 +39,13 @@ def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> 
     return array
 
 
-def freeze(record: object, name: str, **shapes: Shape) -> None:
-    """Replace array fields of a frozen dataclass by read-only copies of checked shape.
+def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
+    """Return the first names, and how many more there are."""
+    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
-    Args:
-        record: the instance, in its ``__post_init__``. shapes: expected shape of each field.
+
+def freeze(record: object, name: str, **shapes: Shape) -> None:
+    """Replace array fields of a frozen dataclass, in its ``__post_init__``, by read-only copies of these shapes.
 
     Raises:
         ShapeError: see `readonly`.
@@ -54,9 +56,6 @@ def freeze(record: object, name: str, **shapes: Shape) -> None:
 
 def checked_times(field: str, times: ArrayLike) -> Array:
     """Return read-only times (T,) in seconds.
-
-    Args:
-        times: (T,) s.
 
     Raises:
         InvalidInputError: they are empty, not finite or not strictly increasing.
@@ -78,11 +77,7 @@ def checked_times(field: str, times: ArrayLike) -> Array:
 
 
 def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the positions of names in a list.
-
-    Raises:
-        UnknownNameError: names that are not in the list.
-    """
+    """Return the positions of names in a list; names that are not in it raise `UnknownNameError`."""
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise UnknownNameError(kind, unknown, known)
@@ -90,11 +85,7 @@ def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[i
 
 
 def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return unique names as a tuple.
-
-    Raises:
-        InvalidInputError: a name occurs more than once.
-    """
+    """Return unique names as a tuple; a name that occurs more than once raises `InvalidInputError`."""
     names = tuple(map(str, names))
     double = sorted(name for name, count in Counter(names).items() if count > 1)
     if double:
@@ -103,10 +94,7 @@ def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def checked_rotations(field: str, R: Array) -> None:
-    """Check that each matrix is a rotation or NaN as a whole.
-
-    Args:
-        R: (..., 3, 3).
+    """Check that each of the matrices (..., 3, 3) is a rotation or NaN as a whole.
 
     Raises:
         InvalidInputError: a matrix is neither.

@@ -15,10 +15,7 @@ _log = logging.getLogger(__name__)
 
 
 def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -> Any:
-    """Import a module of an optional package.
-
-    Args:
-        extra: this package's extra that installs it. purpose: what needs it, the subject of the error's sentence.
+    """Import a module of an optional package, which this package's extra installs; the error says what needs it.
 
     Raises:
         MissingPackageError: it is not installed, or its libraries cannot be loaded.
@@ -52,7 +49,11 @@ T = TypeVar("T")
 
 
 class Extensions(Generic[T]):
-    """What is added to one list of this package."""
+    """What is added to one list of this package.
+
+    An installed package names it in its ``pyproject.toml``, as an entry point of `group`, and every command and
+    function then knows it; a script adds it for its own process.
+    """
 
     def __init__(self, group: str, kind: type[T], name: Callable[[T], str]) -> None:
         """Describe the list."""

@@ -28,10 +28,7 @@ def cache_folder() -> Path:
 
 
 def model_path(name: str) -> Path:
-    """Return the path of a shipped file or folder, in an installation or a checkout.
-
-    Args:
-        name: path inside the models folder, e.g. ``"skeleton.toml"``.
+    """Return the path of a shipped file or folder, e.g. ``"skeleton.toml"``, in an installation or a checkout.
 
     Raises:
         FileFormatError: it does not exist; the message lists the files that do.
@@ -48,10 +45,7 @@ def model_path(name: str) -> Path:
 
 
 def lifter_path(lifter: str | Path | None) -> Path:
-    """Return the weights file of a lifter.
-
-    Args:
-        lifter: a name in `LIFTERS` or a file; the default lifter if None.
+    """Return the weights file of a lifter: a name in `LIFTERS` or a file; the default lifter if None.
 
     Raises:
         FileFormatError: it is neither.

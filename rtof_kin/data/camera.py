@@ -87,11 +87,7 @@ class Camera:
     def looking_at(
         cls, position: ArrayLike, target: ArrayLike, focal_px: float, width_px: int = 1920, height_px: int = 1080
     ) -> Camera:
-        """Return an upright camera whose optical axis passes through a point.
-
-        Args:
-            position, target: (3,) in world, m. focal_px: focal length, px.
-        """
+        """Return an upright camera at a position (3,) in world, m, whose optical axis passes through a target."""
         position = np.asarray(position, dtype=float)
         forward = so3.unit(np.asarray(target, dtype=float) - position)
         right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
@@ -109,11 +105,7 @@ class Camera:
         return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
 
     def project(self, p_world: ArrayLike) -> Array:
-        """Project points to pixels (..., 2); NaN for points behind the camera.
-
-        Args:
-            p_world: (..., 3) m.
-        """
+        """Project points (..., 3), m, to pixels (..., 2); NaN for points behind the camera."""
         p = self.to_camera(p_world)
         depth = p[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -185,18 +177,14 @@ class CameraTurning:
         return replace(self, R_still_camera=R[:, 0])
 
     def followed_by(self, R_other_still: Array, K_other: Array) -> Self:
-        """Return the same for keypoints that were turned once more.
-
-        Args:
-            R_other_still: (T, 3, 3) axes of the still camera to those of another.
+        """Return the same for keypoints that were turned once more, from the axes of the still camera to those of
+        another.
         """
         return replace(self, R_still_camera=R_other_still @ self.R_still_camera, K_still=K_other)
 
     def in_video(self, uv_still: Array, frames: Any) -> Array:
-        """Return pixels (n, ..., 2) of the video; NaN where the camera looked elsewhere.
-
-        Args:
-            uv_still: (n, ..., 2) pixels of the still camera.
+        """Return pixels (n, ..., 2) of the video for those of the still camera; NaN where the camera looked
+        elsewhere.
         """
         xy = (uv_still - self.K_still[:2, 2]) @ np.linalg.inv(self.K_still[:2, :2]).T
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)

@@ -95,13 +95,8 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
 
 
 def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple[Array, Camera]:
-    """Return rotations (T, 3, 3) from the camera to one that stands still, and that one; see `stabilised`.
-
-    Args:
-        times: (T,) s, of its frames.
-
-    Raises:
-        InvalidInputError: see `stabilised`.
+    """Return rotations (T, 3, 3) from the camera, at times (T,) s of its frames, to one that stands still, and that
+    one; see `stabilised`, whose errors are raised.
     """
     if camera.stabilised:
         raise InvalidInputError("camera motion: these keypoints are stabilised already; leave it out")

@@ -167,11 +167,7 @@ class ImuSequence:
         )
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return sensors in the order of `names`.
-
-        Raises:
-            UnknownNameError: a sensor does not exist.
-        """
+        """Return sensors in the order of `names`; one that does not exist raises `UnknownNameError`."""
         index = indices_of("sensor", names, self.names)
         return replace(
             self,
@@ -213,10 +209,8 @@ class BoneImuSequence:
         )
 
     def select(self, joints: Sequence[str]) -> Self:
-        """Return the sensors of segments in the order of `joints`.
-
-        Raises:
-            UnknownNameError: a segment has no sensor.
+        """Return the sensors of segments in the order of `joints`; a segment without a sensor raises
+        `UnknownNameError`.
         """
         index = indices_of("IMU segment", joints, self.joints)
         return replace(
@@ -250,10 +244,8 @@ class BoneImuSequence:
         )
 
     def low_passed(self, cutoff_hz: float) -> Self:
-        """Low-pass filter the accelerations; implausible values are kept and excluded from the filter.
-
-        Args:
-            cutoff_hz: -3 dB frequency, Hz.
+        """Low-pass filter the accelerations, -3 dB at `cutoff_hz`; implausible values are kept and excluded from the
+        filter.
         """
         absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
         out = np.where(absurd, np.nan, self.a_world)
@@ -282,7 +274,17 @@ class BoneImuSequence:
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Rotations of each sensor to world and to its segment, and its position in the segment."""
+    """Rotations of each sensor to world and to its segment, and its position in the segment.
+
+    ::
+
+        R_world_bone = R_world_inertial . R_inertial_sensor . R_sensor_bone
+        a_world      = R_world_inertial . R_inertial_sensor . f_sensor + g,    g = (0, 0, -9.80665)
+
+    The paper has R^imu = R_kj^-1 R_kg R_k (eq. 1); the frames close only in the order above, with
+    R_kg = R_world_inertial, R_k = R_inertial_sensor and R_kj = R_sensor_bone^-1. It subtracts an upward g (eq. 6);
+    here g points down and is added.
+    """
 
     sensors: tuple[str, ...]
     """S sensor names."""
@@ -328,11 +330,7 @@ class ImuCalibration:
                 )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
-        """Return the calibration of sensors in the order given.
-
-        Raises:
-            UnknownNameError: a sensor has no calibration.
-        """
+        """Return the calibration of sensors in the order given; a sensor without one raises `UnknownNameError`."""
         index = indices_of("calibrated sensor", sensors, self.sensors)
         return replace(
             self,

@@ -125,7 +125,7 @@ class Human36M:
         the subject's others with the same camera, `notes` says so: a known fault of a few sequences of S9.
 
         Args:
-            camera: 0 to 3, see `human36m_cameras.CAMERA_IDS`.
+            camera: 0 to 3, see `human36m_files.CAMERA_IDS`.
 
         Raises:
             UnknownNameError: no such subject, action or camera. FileFormatError: a corrupt entry.

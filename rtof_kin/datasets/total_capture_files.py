@@ -196,6 +196,13 @@ def read_detections(
 ) -> KeypointSequence:
     """Read the detections in the video of one take and camera.
 
+    Files are found by name at any depth, case-insensitively: ``TC_S5_acting3_cam1.npz``, ``S5_acting3_cam1.npz``, or
+    ``cam1.npz`` in folders ``S5/acting3``. An .npz has ``uv_px`` (T, L, 2) and optionally ``confidence`` (T, L) and
+    ``times`` (T,), s; its landmarks are listed in a file ``landmarks.txt`` in the folder (by default all joints of the
+    skeleton in its order). A .csv has the columns of a recording's keypoints. Without times, frame k is frame k of the
+    video. With a layout they are a detector's own files, of any format in `rtof_kin.vision.keypoint_files` (a folder of
+    .json is named like a file), whose points are converted to landmarks.
+
     Args:
         skeleton: that has the landmarks; the 21-joint one by default.
         rate_hz: frame rate of the video, Hz, for files without times.

@@ -108,10 +108,7 @@ def video_arrays(keypoints: KeypointSequence) -> dict[str, Array]:
 
 
 def with_video(keypoints: KeypointSequence, arrays: Mapping[str, Array]) -> KeypointSequence:
-    """Return keypoints with what `video_arrays` wrote of them.
-
-    Args:
-        arrays: of their file; others than those of the table are ignored.
+    """Return keypoints with what `video_arrays` wrote of them; other arrays of their file are ignored.
 
     Raises:
         InvalidInputError: an array is missing or has a wrong shape.

@@ -103,11 +103,7 @@ class SensorChannels:
     """(3,)"""
 
     def readings(self, times: Array, values: Array) -> Readings:
-        """Return this sensor's readings.
-
-        Args:
-            times: (T,) s. values: (T, C) of the stream.
-        """
+        """Return this sensor's readings of the stream's values (T, C) at times (T,), s."""
         acceleration, gyroscope, magnetometer, quaternions = (
             None if columns is None else np.asarray(values[:, columns], dtype=float)
             for columns in (self.acceleration, self.gyroscope, self.magnetometer, self.quaternions)
@@ -329,10 +325,8 @@ class PointChannels:
         return cls(len(labels), tuple(found), uv, np.array([parts.get("c", -1) for parts in found.values()]))
 
     def points(self, values: Array) -> tuple[Array, Array]:
-        """Return uv_px (T, L, 2), NaN where unseen, and confidence (T, L) in [0, 1], 0 where unseen.
-
-        Args:
-            values: (T, C) of the stream.
+        """Return uv_px (T, L, 2), NaN where unseen, and confidence (T, L) in [0, 1], 0 where unseen, of values
+        (T, C).
         """
         uv = np.array(values[:, self.uv], dtype=float)
         confidence = np.where(self.confidence < 0, 1.0, values[:, self.confidence]).clip(0, 1)

@@ -78,10 +78,7 @@ class CalibrationTable(InputTable):
 
 
 def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuCalibration:
-    """Read a calibration.
-
-    Args:
-        skeleton: its segments carry the sensors; it has the default positions.
+    """Read a calibration; the segments of a skeleton carry the sensors, at its default positions.
 
     Raises:
         FileFormatError: no such file, no sensor in it, or a missing or invalid field, which is named.
@@ -104,10 +101,8 @@ def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, ov
 
 
 def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) -> ImuCalibration | None:
-    """Return the calibration in the tables of sensors by name; None where there are none.
-
-    Args:
-        skeleton: as for `read_imu_calibration_toml`, whose errors are raised.
+    """Return the calibration in the tables of sensors by name; None without any. Raises as
+    `read_imu_calibration_toml`.
     """
     joints, levers = [], []
     for name, own in sensors.items():

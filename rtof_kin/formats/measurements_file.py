@@ -1,4 +1,4 @@
-"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.measurements`.
+"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.keypoints.Measurements`.
 
 The bytes of the array `header` are JSON: names, cameras and faults. The others have the attributes unit, frame, shape:
 
@@ -167,11 +167,7 @@ def read_measurements(path: str | Path) -> Measurements:
 
 
 def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measurements:
-    """Return frames of a file.
-
-    Args:
-        arrays: float64, by name.
-    """
+    """Return frames of a file from its arrays, float64, by name."""
     times = arrays["times"]
     floor = header["floor_height"]
     full = 1 if header["schema_version"] == 1 else FULL
@@ -221,11 +217,7 @@ class MeasurementsWriter:
     """Writes measurements by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path) -> None:
-        """Write nothing yet.
-
-        Args:
-            path: the file, which is replaced.
-        """
+        """Write nothing yet; the file is replaced."""
         self._path = Path(path)
         self._arrays = Hdf5Writer(self._path, _ABOUT)
         self._header: dict[str, Any] | None = None
@@ -235,11 +227,7 @@ class MeasurementsWriter:
         self._last = -np.inf
 
     def __enter__(self) -> Self:
-        """Open the file.
-
-        Raises:
-            WritingError: it cannot be written.
-        """
+        """Open the file; `WritingError` where it cannot be written."""
         self._arrays.__enter__()
         return self
 
@@ -292,11 +280,7 @@ class MeasurementsWriter:
 
 
 def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write measurements over an existing file.
-
-    Raises:
-        RtofError: it cannot be written.
-    """
+    """Write measurements over an existing file; `RtofError` where it cannot be written."""
     with MeasurementsWriter(path) as writer:
         writer.append(measurements)
 

@@ -84,10 +84,7 @@ def check_known(motion: AnyMotion) -> None:
 
 
 def even_times(times: Array) -> Array:
-    """Return the even grid (T,), s, nearest to measured times.
-
-    Args:
-        times: (T,) s.
+    """Return the even grid (T,), s, nearest to measured times (T,), s.
 
     Raises:
         InvalidInputError: a time is more than `MOST_UNEVEN` frames beside the grid.
@@ -117,12 +114,8 @@ def landmark_markers(motion: AnyMotion) -> MarkerBlocks:
 
 
 def joint_tree(motion: AnyMotion) -> Iterator[ArticulatedMotion]:
-    """Yield the skeleton as a tree of joints in blocks of frames, with end sites at the far ends of its leaves.
-
-    The y axis points up and lengths are in cm, as readers of BVH expect; a person who faces world x faces z.
-
-    Args:
-        motion: poses without unknown frames, at even times.
+    """Yield the skeleton as a tree of joints in blocks of frames at even times, with end sites at the far ends of its
+    leaves. The y axis points up and lengths are in cm, as readers of BVH expect; a person who faces world x faces z.
 
     Raises:
         InvalidInputError: a frame is unknown, or times are uneven.

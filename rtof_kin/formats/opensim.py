@@ -51,7 +51,7 @@ SUFFIXES: Final = (".mot", ".sto")
 _END: Final = "endheader"
 _STATE: Final = re.compile(r"(?:.*/)?([^/]+)/value")
 _OWN: Final = re.compile(r"Coordinates of the \.osim of the skeleton (\w+), zero in the T-pose")
-"""Line in the header of the files of `opensim_mot`."""
+"""Line in the header of this package's tables."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = F
 
 
 def to_osim(skeleton: SkeletonModel) -> str:
-    """Return the OpenSim model of a skeleton, XML; its angles are `opensim_mot.coordinates`."""
+    """Return the OpenSim model of a skeleton, XML; its angles are `coordinates`."""
     table = skeleton.table
     document = ET.Element("OpenSimDocument", Version=_VERSION)
     model = ET.SubElement(document, "Model", name=table.name)
@@ -305,9 +305,6 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
 
 def coordinate_values(motion: AnyMotion) -> tuple[tuple[Coordinate, ...], Array]:
     """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
-
-    Args:
-        motion: its configurations must be known, see `formats.motion_views.pieces`.
 
     Raises:
         InvalidInputError: a configuration is unknown.

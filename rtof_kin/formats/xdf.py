@@ -317,10 +317,7 @@ class XdfPoints:
 
 
 def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
-    """Read the detected points of a file.
-
-    Args:
-        stream: name of the stream; not needed where only one has points.
+    """Read the detected points of a file; the stream's name is not needed where only one has points.
 
     Raises:
         FileFormatError: unreadable, damaged, or no stream of points or several.

@@ -94,10 +94,8 @@ def delay(stream: SensorStream) -> float:
 
 
 def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
-    """Check the RMS difference of gyroscope and derivative of the orientation.
-
-    Args:
-        shift: delay of the gyroscope, samples; estimated if None.
+    """Check the RMS difference of gyroscope and derivative of the orientation; its delay, samples, is estimated if
+    None.
     """
     pair = _both_rates(stream, shift)
     if pair is None:
@@ -249,19 +247,15 @@ def at_rest(stream: SensorStream) -> Mask:
 
 
 def gravity_checks(stream: SensorStream, rest: Mask, per_metre: float) -> tuple[Check, ...]:
-    """Check specific force, direction of gravity, mean acceleration and lever arm.
-
-    Args:
-        rest: (T,) from `at_rest`. per_metre: its `turning_acceleration`, 1/s^2.
+    """Check specific force, direction of gravity, mean acceleration and lever arm by `at_rest` and
+    `turning_acceleration`.
     """
     return (_specific_force(stream, rest), *_mean_force(stream, rest), _lever_arm(stream, per_metre))
 
 
 def turning_acceleration(stream: SensorStream) -> float:
-    """Return the 90th percentile of ``|w|^2 + |dw/dt|``, the acceleration per metre of lever arm, 1/s^2.
-
-    Args:
-        stream: the sensor; NaN if it hardly turns or is too short.
+    """Return the 90th percentile of ``|w|^2 + |dw/dt|``, the acceleration per metre of lever arm, 1/s^2; NaN where the
+    sensor hardly turns or is too short.
     """
     if stream.R_inertial_sensor is None or len(stream) < 20:
         return float("nan")

@@ -2,6 +2,9 @@
 
 Laidig and Seel, Information Fusion 91 (2023), in the library of its authors. The offline filter uses the
 past and the future of each sample, the causal one only the past.
+
+Axes of a phone, with the screen towards the viewer: x to the right, y up, z out of the screen, as Android and iOS
+define them; the camera at its back looks along -z.
 """
 
 from __future__ import annotations
@@ -81,10 +84,7 @@ def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFA
 def log_with_orientation(
     log: SensorLog, names: Sequence[str] | None = None, settings: OrientationSettings = _DEFAULT
 ) -> SensorLog:
-    """Estimate the orientation of sensors of a log by VQF.
-
-    Args:
-        names: of those to estimate; None: of those without orientation.
+    """Estimate the orientation of sensors of a log by VQF, by default of those without.
 
     Raises:
         UnknownNameError: unknown sensor. InvalidInputError: as in `with_orientation`.
@@ -182,10 +182,8 @@ class GyroscopeMatch:
 
 
 def held_of_gravity(stream: SensorStream) -> str:
-    """Return how a phone was held, from gravity: the key of `HELD` whose image is the most upright.
-
-    Args:
-        stream: of the phone; portrait where it has no accelerometer.
+    """Return how a phone was held, from gravity: the key of `HELD` whose image is the most upright; portrait where it
+    has no accelerometer.
     """
     if stream.f_sensor is None:
         return "portrait"
@@ -194,13 +192,9 @@ def held_of_gravity(stream: SensorStream) -> str:
 
 
 def motion_of_gyroscope(stream: SensorStream, R_camera_phone: Array) -> CameraMotion:
-    """Return the turning of a camera that a sensor is fixed to.
-
-    With an accelerometer the orientation is that of `with_orientation` without magnetometer, and up is known;
-    else angular velocities are summed. A slow drift of the heading remains either way.
-
-    Args:
-        R_camera_phone: (3, 3), see `HELD`.
+    """Return the turning of a camera that a sensor is fixed to by R_camera_phone (3, 3) of `HELD`. With an
+    accelerometer the orientation is that of `with_orientation` without magnetometer, and up is known; else angular
+    velocities are summed. A slow drift of the heading remains either way.
 
     Raises:
         InvalidInputError: there is neither, or there are too few samples.

@@ -204,17 +204,7 @@ def _excess(check: Check) -> float:
 
 def _sampling(stream: SensorStream, declared: Declaration) -> list[Check]:
     checks = _clock(stream, declared)
-    for name, values in _as_filed(stream, declared).items():
-        checks += [_missing(stream, name, values), _stuck(stream, name, values)]
-        if name in ("f_sensor", "w_sensor"):
-            checks.append(_saturated(stream, name, values))
-    if stream.m_sensor is not None:
-        checks.append(_disturbed(stream, stream.m_sensor))
-    return checks
-
-
-def _as_filed(stream: SensorStream, declared: Declaration) -> dict[str, Array]:
-    """Return the channels (T, K); accelerations in the file's own axes, whose range has ends."""
+    # Channels (T, K); accelerations in the file's own axes, whose range has ends.
     f, R = stream.f_sensor, stream.R_inertial_sensor
     channels = {
         "f_sensor": None if f is None else declared.filed_acceleration(f, R),
@@ -222,7 +212,13 @@ def _as_filed(stream: SensorStream, declared: Declaration) -> dict[str, Array]:
         "m_sensor": stream.m_sensor,
         "R_inertial_sensor": None if R is None else R.reshape(len(stream), 9),
     }
-    return {name: values for name, values in channels.items() if values is not None}
+    for name, values in ({name: values for name, values in channels.items() if values is not None}).items():
+        checks += [_missing(stream, name, values), _stuck(stream, name, values)]
+        if name in ("f_sensor", "w_sensor"):
+            checks.append(_saturated(stream, name, values))
+    if stream.m_sensor is not None:
+        checks.append(_disturbed(stream, stream.m_sensor))
+    return checks
 
 
 def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:

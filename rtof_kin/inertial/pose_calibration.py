@@ -76,10 +76,7 @@ def pose_rotations(pose: str | ArrayLike, skeleton: SkeletonModel) -> Array:
 
 
 def facing_of(R_world_bone: Array) -> float:
-    """Return the heading of the root's forward axis, rad about z from x.
-
-    Args:
-        R_world_bone: (J, 3, 3) of a pose.
+    """Return the heading of the root's forward axis in R_world_bone (J, 3, 3) of a pose, rad about z from x.
 
     Raises:
         InvalidInputError: the axis is vertical.
@@ -91,11 +88,7 @@ def facing_of(R_world_bone: Array) -> float:
 
 
 def turned_to(R_world_bone: Array, facing: float) -> Array:
-    """Return a pose with another heading.
-
-    Args:
-        R_world_bone: (J, 3, 3). facing: new heading, rad about z from x.
-    """
+    """Return a pose (J, 3, 3) with another heading, rad about z from x."""
     turn = so3.about_axis("z", facing - facing_of(R_world_bone))
     return np.asarray(turn @ R_world_bone)
 

@@ -55,7 +55,7 @@ class ImuChannels:
     Args:
         stream: its name; of the sensor too, where labels name none.
         labels, units, types: of each channel; units and types may be empty.
-        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
 
     Raises:
         SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an
@@ -516,7 +516,7 @@ class LslImuSource(LslSource):
 
     Args:
         timeout_s: s that it has to answer.
-        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
     """
 
     def __init__(self, stream: str, declared: Mapping[str, Any] | None = None, timeout_s: float = 5.0):

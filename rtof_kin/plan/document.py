@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.core.checks import some
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
 from rtof_kin.data.confidence import BAND_95
@@ -23,7 +24,7 @@ from rtof_kin.plan.plan import SEEN, Option, Plan
 from rtof_kin.plan.prediction import ENOUGH, UNITS
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Document, Figure, Table, some, write_files
+from rtof_kin.reporting.document import Badge, Document, Figure, Table, write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot

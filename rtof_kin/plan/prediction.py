@@ -225,6 +225,10 @@ def calibration_time(
 ) -> CalibrationTime:
     """Return how well lengths of a movement calibrate the sensors.
 
+    Recordings of several lengths are simulated with the errors of sensors put on by hand, and calibrated from their own
+    motion as real ones are. Standard deviations are those of the calibration's information matrix; the simulated errors
+    check them.
+
     Args:
         setup: with the movement; lengths beyond it are left out. draws: simulated recordings of each length.
         seed: of the first. lifter: as for `reconstruct`. workers: processes, one per core if None.

@@ -101,11 +101,7 @@ def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: Sk
 
 
 def evidence(scene: Scene, keypoints: KeypointSequence, by_image: PoseSequence, poses: PoseSequence) -> Evidence:
-    """Return the evidence of a recording reconstructed with a camera.
-
-    Args:
-        by_image: lifted without sensors.
-    """
+    """Return the evidence of a recording reconstructed with a camera; `by_image`: lifted without sensors."""
     camera = keypoints.camera
     parts = (
         _floor(scene, camera, refit_root(poses, keypoints, sigma_depth=1.0)),
@@ -143,11 +139,7 @@ class FloorPlane:
 
 
 def floor_plane(camera: Camera, p: Array, floor_height: float) -> FloorPlane | None:
-    """Return the plane through standing ankles (n, 3), m; None where there are too few.
-
-    Args:
-        p: in world. floor_height: z of the floor, m.
-    """
+    """Return the plane through standing ankles (n, 3) in world, m, near the floor's height z; None for too few."""
     if len(p) < 10:
         return None
     height = p[:, 2] - floor_height - ANKLE_HEIGHT
@@ -183,11 +175,7 @@ def lasting(seconds: float) -> float:
 
 
 def turn_of_image(imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera, poses: PoseSequence) -> Array:
-    """Return the rotation vector (3,), camera axes, from the sensors' bones to the image's, or NaN.
-
-    Args:
-        poses: lifted without sensors.
-    """
+    """Return the rotation vector (3,), camera axes, from the sensors' bones to those of the image alone, or NaN."""
     p, products = poses.p_world_joint, np.zeros((3, 3))
     for s, joint in enumerate(skeleton.index(*imus.joints)):
         children = kinematics.children_of(skeleton.parents, joint)
@@ -234,11 +222,7 @@ def check_walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Check:
 
 
 def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Array]:
-    """Return the paths (n,) of the body along the view in each contact, by the image and by its legs, m.
-
-    Args:
-        scene: of the recording; without sensors on the legs there is none.
-    """
+    """Return the paths (n,) of the body along the view in each contact, by the image and by sensed legs, m."""
     if scene.bone_imus is None or not {*LEGS} <= {*scene.bone_imus.joints}:
         return np.zeros(0), np.zeros(0)
     ahead, root = _level_axes(camera)[0], poses.p_world_joint[:, 0]
@@ -278,11 +262,7 @@ class HeadingDrift:
 def without_heading_drift(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> KeypointSequence:
-    """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for.
-
-    Args:
-        lifter: default: the shipped one.
-    """
+    """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for; None: shipped lifter."""
     found = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, keypoints.camera.heading_drift)
     first, last = np.degrees(found.angle[[0, -1]])
     _log.info(
@@ -295,6 +275,12 @@ def without_heading_drift(
 
 def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: float) -> HeadingDrift:
     """Estimate the drift of a camera's heading.
+
+    A phone knows its camera's tilt from gravity, but its heading drifts (that of the background's keyframes hardly
+    does). Segments in the image and by their sensors differ by this drift, by errors of the lifter that depend on the
+    pose, and by the drift of the sensors' headings, which is the same to a reconstruction. The drift is a line and a
+    random walk, estimated by Gaussian process regression (Rasmussen and Williams 2006, ch. 2) from means over two
+    seconds. Removing it corrects positions in world; those relative to the root hardly change.
 
     Args:
         poses: lifted from the image alone, in the world of the camera that stands still.

@@ -75,11 +75,7 @@ class Job:
         )
 
     def calibrated(self, calibration: SelfCalibration | None) -> Job:
-        """Return the job on the calibrated recording, with the settings of its fragment solver.
-
-        Args:
-            calibration: to apply; None for the recording as it is.
-        """
+        """Return the job on the calibrated recording, or as it is for None, with its fragment solver's settings."""
         job = self
         if calibration is not None:
             skeleton = None if calibration.of_kind("bones") else self.skeleton
@@ -102,11 +98,7 @@ class Job:
         return replace(self, settings=self.settings.with_fragment(solver))
 
     def solve(self, prepared: Prepared, confidence: bool, stage: str = "") -> FragmentSolution:
-        """Optimise the prepared poses.
-
-        Args:
-            stage: name that progress is reported under; empty for none.
-        """
+        """Optimise the prepared poses; progress is reported under the name `stage`, unless empty."""
         places = None  # Cartesian space: all segments that may carry a sensor
         if isinstance(self.settings.fragment, JointSpaceSettings):
             places = self._sensor_places(prepared.skeleton)

@@ -128,11 +128,7 @@ _UNSEEN: Final = 1e-6
 
 
 def fused(lifts: Sequence[Lifted], cameras: Sequence[KeypointSequence], skeleton: SkeletonModel) -> Lifted:
-    """Return the lifts of cameras of one person as one; that of one camera as it is.
-
-    Args:
-        lifts: one for each camera, at the same times. cameras: what each saw. skeleton: the subject's.
-    """
+    """Return the lifts of cameras of one person, at the same times, as one; that of one camera as it is."""
     if len(lifts) == 1:
         return lifts[0]
     poses = lifts[0].poses

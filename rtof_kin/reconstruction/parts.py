@@ -76,10 +76,8 @@ class Part:
 
 
 def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECONDS) -> list[Part]:
-    """Return the parts of a recording, whose borders are multiples of a number of frames.
-
-    Args:
-        seconds: length of a part; the last one has half of it at least.
+    """Return the parts of a recording of `seconds`, at borders of multiples of frames; the last has half of it at
+    least.
     """
     length = max(round(seconds * rate_hz / step), 1) * step
     margin = max(-(-round(MARGIN_SECONDS * rate_hz) // step), 4) * step

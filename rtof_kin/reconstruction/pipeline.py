@@ -219,11 +219,7 @@ def _result(
     others: Iterable[PoseSequence],
     clocks: ClockOffset,
 ) -> Reconstruction:
-    """Check the motion against the recording and collect the result.
-
-    Args:
-        clocks: as `declared` has them.
-    """
+    """Check the motion against the recording and collect the result; `clocks` as `declared` has them."""
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
     warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)

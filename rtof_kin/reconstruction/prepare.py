@@ -84,11 +84,7 @@ class Prepared:
         )
 
     def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:
-        """Return the same with sensors rejected; SF2 runs again on the same lift.
-
-        Args:
-            wrong: further intervals of sensors that are not used, by segment.
-        """
+        """Return the same with further intervals of sensors rejected, by segment; SF2 runs again on the same lift."""
         assert self.bone_imus is not None
         bone_imus = mask_faults(self.bone_imus, wrong)
         stages, start = _refined(self.lifted, self.skeleton, "rtof", bone_imus, self.settings)

@@ -26,11 +26,7 @@ _SURE_DEG = 4.0  # [deg] Largest standard deviation of a hinge's zero without a 
 def quality_warnings(
     prepared: Prepared, solution: FragmentSolution | None, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
-    """Return quality warnings: sensors without samples, joints far from their keypoints.
-
-    Args:
-        solution: None in modes that do not optimise.
-    """
+    """Return quality warnings (sensors without samples, joints far from their keypoints); None: no optimisation."""
     found: tuple[str, ...] = ()
     if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
         found += (
@@ -55,10 +51,8 @@ def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, po
 
 
 def misfit_warnings(solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings) -> tuple[str, ...]:
-    """Return warnings about intervals in which joints lie far from their keypoints.
-
-    Args:
-        off_px: (T, L) of `reprojection_errors`.
+    """Return warnings about intervals in which joints lie far from their keypoints, by `reprojection_errors` (T, L),
+    px.
     """
     s = settings.fragment
     if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
@@ -120,11 +114,7 @@ def mounting_variances(prepared: Prepared) -> dict[str, float]:
 
 
 def _with_mountings(confidence: Confidence, variances: Mapping[str, float]) -> Confidence:
-    """Covariances of orientations with the constant error of mountings.
-
-    Args:
-        variances: of the segments' orientations, by joint, rad^2.
-    """
+    """Covariances of orientations with the constant error of mountings: variances by joint of the segments, rad^2."""
     if not variances:
         return confidence
     added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in confidence.pairs])
@@ -153,11 +143,7 @@ def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
 
 
 def with_camera_uncertainty(confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]) -> Confidence:
-    """Return covariances with those of a camera's, or the clocks', unknowns added.
-
-    Args:
-        others: with cameras (`CameraEstimate.deviations`) or clocks one standard deviation off.
-    """
+    """Return covariances with those of `others` added: with a camera or clocks one standard deviation off."""
     for other in others:
         apart = disagreement(poses, other, confidence.pairs)
         confidence = replace(

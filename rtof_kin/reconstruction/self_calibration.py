@@ -213,11 +213,7 @@ def find_camera(
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """Return the part of a long video in which the person's size in the image changes most.
-
-    Args:
-        keypoints: evenly spaced; of a fast video, some frames are left out.
-    """
+    """Return the part of a long video in which the person's size changes most; of a fast one, fewer frames."""
     rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
     keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
     times = keypoints.times
@@ -325,10 +321,10 @@ class Knowledge:
 
 
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
-    """Estimate the clocks of a recording with sensors; nothing where no person is seen or nothing moves.
+    """Estimate the clocks of jobs in the order of time; nothing where no person is seen or nothing moves.
 
-    Args:
-        jobs: on the recording, or on parts of it in the order of time.
+    Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors
+    (`calibration.clocks.small_offset`); where that leaves more than `_UNSHARP`, the energy of a short excerpt decides.
     """
     if not jobs:
         return ClockOffset()

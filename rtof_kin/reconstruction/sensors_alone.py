@@ -110,12 +110,7 @@ def reconstruct_from_sensors(
 
 
 def frame_times(imus: ImuSequence, rate_hz: float, stop: float | None = None) -> Array:
-    """Return even frame times (T,), s, over the sensors' span.
-
-    Args:
-        rate_hz: frame rate, Hz; the sensors' own where that is lower.
-        stop: last sample, s, of sensors of which these are only the first ones.
-    """
+    """Return even frame times (T,), s, at `rate_hz` or the sensors' lower one, to `stop`, s, or their last sample."""
     first, last = imus.times[[0, -1]]
     last = last if stop is None else stop
     own = 1 / float(np.median(np.diff(imus.times))) if len(imus) > 1 else rate_hz

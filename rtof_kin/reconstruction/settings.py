@@ -64,9 +64,5 @@ class ReconstructionSettings:
         return fragment if self.backend is None else replace(fragment, backend=self.backend)
 
     def with_fragment(self, fragment: JointSpaceSettings | CartesianSettings | None) -> Self:
-        """Return the same settings with others of the fragment solver.
-
-        Args:
-            fragment: None for the defaults.
-        """
+        """Return the same settings with others of the fragment solver, or its defaults for None."""
         return replace(self, fragment=fragment, space=None, backend=None)

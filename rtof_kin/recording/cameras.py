@@ -118,10 +118,8 @@ def _sigmas(table: UncertaintyTable | AccuracyTable | None) -> CameraUncertainty
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:
-    """Return the table that `read_camera` reads back exactly.
-
-    Args:
-        camera: to write; of uncertainties that were not read from a table, the last bit may change.
+    """Return the table that `read_camera` reads back exactly; of uncertainties not read from a table, the last bit may
+    change.
     """
     more: dict[str, Any] = {"assumed": list(camera.assumed)} if camera.assumed else {}
     if camera.stabilised:
@@ -216,10 +214,8 @@ def _camera_motion(table: CameraMotionTable) -> CameraMotion:
 
 
 def camera_and_keypoints(keypoints: KeypointSequence, which: int) -> dict[str, Any]:
-    """Return the tables ``camera`` and ``keypoints`` that are read back exactly.
-
-    Args:
-        keypoints: written to `keypoint_file`. which: camera, 0 for the first.
+    """Return the tables ``camera`` and ``keypoints`` that are read back exactly, for `keypoint_file` of a camera, from
+    0.
     """
     seen = {"file": keypoint_file(which), "landmarks": list(keypoints.names)}
     return {"camera": camera_table(keypoints.camera), "keypoints": seen}
@@ -271,11 +267,7 @@ def _keypoint_stream(
 
 
 def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
-    """Return pixels and confidences, 1 for every point seen where the file has none.
-
-    Args:
-        arrays: uv_px (T, L, 2) and maybe confidence (T, L).
-    """
+    """Return pixels (T, L, 2) and confidences (T, L), 1 for every point seen where the file has none."""
     uv = arrays["uv_px"]
     confidence: Array = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
     if confidence.shape != uv.shape[:2]:
@@ -330,10 +322,8 @@ def _on_video(keypoints: KeypointSequence, start: float) -> KeypointSequence:
 
 
 def arranged_keypoints(path: Path, columns: dict[str, Array]) -> tuple[tuple[str, ...], dict[str, Array]]:
-    """Return landmark names and the arrays uv_px (T, L, 2), confidence (T, L) and, if present, times (T,).
-
-    Args:
-        path: a .csv file with the columns of a recording's keypoints. columns: (T,) by name.
+    """Return landmark names and the arrays uv_px (T, L, 2), confidence (T, L) and, if present, times (T,) from the
+    columns (T,) of a recording's .csv file.
     """
     arrays = {"times": columns["time"]} if "time" in columns else {}
     names = csv_names(path, [name for name in columns if name != "time"], _COLUMNS, optional=1)

@@ -54,10 +54,7 @@ class Session:
 
     @classmethod
     def of(cls, labels: Mapping[str, Any]) -> Self:
-        """Make the labels from plain data.
-
-        Args:
-            labels: text by field; missing fields are unknown.
+        """Make the labels from plain data by field; missing fields are unknown.
 
         Raises:
             InvalidInputError: a label is not text, or the date not a day.
@@ -182,11 +179,7 @@ def body_of(
     mass_kg: float | None = None,
     sex: str | None = None,
 ) -> SkeletonModel:
-    """Return a table's skeleton with these offsets, or else this height and then these lengths.
-
-    Args:
-        skeleton_table, joint_offsets, bone_lengths, height, mass_kg, sex: fields of `Recording`.
-    """
+    """Return a table's skeleton with a `Recording`'s offsets, or else its height and then its lengths."""
     skeleton = shipped(skeleton_table)
     if joint_offsets is None:
         skeleton = skeleton if height is None else skeleton.with_height(height)

@@ -226,11 +226,7 @@ class Recording(RecordingSource):
         return self.cut(self.streams, start_s, stop_s)
 
     def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval; see `between`.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-        """
+        """Return what was recorded in a closed interval, s; see `between`."""
         parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
         if parts["keypoints"] is None and parts["imus"] is None:
             raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
@@ -247,10 +243,7 @@ class Recording(RecordingSource):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read a recording folder.
-
-        Args:
-            folder: that has a file ``recording.toml``.
+        """Read a folder that has a file ``recording.toml``.
 
         Raises:
             FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
@@ -328,10 +321,8 @@ _LABELS: Final = ("name", "session", "notes")
 
 
 def recording_digest(index: str, streams: Streams) -> str:
-    """Return the SHA-256 of a recording's numbers; how its files hold them, and its labels, do not matter.
-
-    Args:
-        index: text of ``recording.toml``.
+    """Return the SHA-256 of a recording's numbers and ``recording.toml``; how its files hold them, and its labels, do
+    not matter.
     """
     facts = {name: value for name, value in tomllib.loads(index).items() if name not in _LABELS}
     lines = [json.dumps(facts, sort_keys=True)]
@@ -370,10 +361,7 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a recording's folder; to be closed after use.
-
-        Args:
-            folder: that has a file ``recording.toml``.
+        """Open a folder that has a file ``recording.toml``; to be closed after use.
 
         Raises:
             FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.

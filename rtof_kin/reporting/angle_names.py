@@ -71,10 +71,8 @@ _CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
 
 
 def plain_words(text: str, table: AngleTable) -> str:
-    """Return a sentence of the audit without names of the model and terms of the method.
-
-    Args:
-        text: e.g. 'left hip flexion/extension (LeftUpLeg_y): beyond its anatomical limit, largest 37 deg'.
+    """Return a sentence of the audit without names of the model and terms of the method; text: e.g. 'left hip
+    flexion/extension (LeftUpLeg_y): beyond its anatomical limit, largest 37 deg'.
     """
     for pattern, words in _PLAIN.items():
         text = re.sub(pattern, words, text)

@@ -219,11 +219,7 @@ def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
 
 
 def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
-    """Yield the section calibration.
-
-    Args:
-        found: result of self-calibration; None if it was not requested.
-    """
+    """Yield the section calibration of a self-calibration; None if it was not requested."""
     if found is None:
         why = "nothing was estimated: delay, mounting and bone lengths are used as given"
         yield AuditResult.not_checked("calibration", "recording", why)
@@ -246,11 +242,7 @@ def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
 
 
 def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
-    """Yield the unknowns of a camera that is not calibrated, in the section calibration.
-
-    Args:
-        found: None for a calibrated camera.
-    """
+    """Yield the unknowns of a camera that is not calibrated; none for a calibrated one."""
     if found is None:
         return
     sizes = dict(zip(UNKNOWNS, np.abs(found.value), strict=True))

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, fields
 from enum import Enum
 from typing import Any, Final, Self
 
+from rtof_kin.core.checks import some
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import FaultKind
 
@@ -177,11 +178,7 @@ class SectionVerdict:
 
 
 def section_verdict(section: str, results: Sequence[AuditResult], most: int = 6) -> SectionVerdict:
-    """Return the verdict on a section.
-
-    Args:
-        section: one of `SECTIONS`. results: of any sections.
-    """
+    """Return the verdict on one of `SECTIONS`, by results of any sections."""
     own = [result for result in results if result.section == section]
     grades = {result.grade for result in own}
     grade = next((worse for worse in WORST_FIRST if worse in grades), Grade.NOT_CHECKED)
@@ -194,10 +191,8 @@ def section_verdict(section: str, results: Sequence[AuditResult], most: int = 6)
 
 
 def result_lines(results: Sequence[AuditResult], grade: Grade) -> Iterator[str]:
-    """Yield the lines of one grade; results with the same name are merged into the line of the worst.
-
-    Args:
-        results: of any grade. grade: to list; for WEAK, remarks replace the single figures.
+    """Yield the lines of one grade; results with the same name are merged into the line of the worst, and for WEAK
+    remarks replace the single figures.
     """
     chosen = [result for result in results if result.grade is grade]
     if grade is Grade.WEAK:
@@ -209,8 +204,7 @@ def result_lines(results: Sequence[AuditResult], grade: Grade) -> Iterator[str]:
             continue
         worst = max(alike, key=lambda result: result.value - result.warn)
         others = [result.subject for result in alike if result is not worst]
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        yield f"{worst.text}; also {', '.join(others[:_NAMED])}{more}"
+        yield f"{worst.text}; also {some(others, _NAMED)}"
 
 
 _UNCHECKED: Final = 3  # largest number of unchecked things that are named
@@ -255,11 +249,7 @@ class Headline:
 
 
 def headline(results: Sequence[AuditResult]) -> Headline:
-    """Return the overall grades and the headline of an audit.
-
-    Args:
-        results: of `rtof_kin.reporting.audit`, or of some of its sections.
-    """
+    """Return the overall grades and the headline of an audit, or of some of its sections."""
     present = {result.section for result in results}
     sections = tuple(section_verdict(section, results) for section in SECTIONS if section in present)
     of_room = next((verdict.grade for verdict in sections if verdict.section == ROOM), None)
@@ -332,8 +322,7 @@ def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[Au
     unknown = list(result_lines(results, Grade.NOT_CHECKED))
     if checked and not any(result.section == "truth" for result in results):
         unknown.append("the error itself: there is no reference")
-    more = f" and {len(unknown) - _UNCHECKED} more" if len(unknown) > _UNCHECKED else ""
     parts = [f"checked, no problem found in {', '.join(checked)}"] if checked else []
     parts += weak
-    parts += [f"not checked: {'; '.join(unknown[:_UNCHECKED])}{more}"] if unknown else []
+    parts += [f"not checked: {some(unknown, _UNCHECKED, '; ')}"] if unknown else []
     return Grade.PASS if checked else Grade.WEAK if weak else Grade.NOT_CHECKED, "; ".join(parts)

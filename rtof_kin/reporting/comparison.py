@@ -34,11 +34,12 @@ from rtof_kin.clinical.comparison_samples import POOR, Alignment
 from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import some
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
+from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, subplots
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
@@ -110,11 +111,8 @@ def compare(
 def document(
     found: Comparison, why: str = "", mapped: ComparisonSpm | None = None, all_printed: bool = False
 ) -> Document:
-    """Return a comparison as a document.
-
-    Args:
-        why: of the choice of the axis; '' if it was given. mapped: its SPM.
-        all_printed: whether the terminal shows all angles.
+    """Return a comparison as a document; why: of the choice of the axis; '' if it was given; mapped: its SPM;
+    all_printed: whether the terminal shows all angles.
     """
     headline, *others = _opening(found, why)
     names = Markup('<p class="legend"><span class="key A"></span> A: {} <span class="key B"></span> B: {}</p>')
@@ -207,11 +205,7 @@ def _other_system(path: Path) -> Compared:
 
 
 def _opening(found: Comparison, why: str) -> list[str]:
-    """Return the first lines: identity, what against what, the axis, and the changes.
-
-    Args:
-        why: of the choice of the axis; '' if it was given.
-    """
+    """Return the first lines: identity, what against what, the axis (and why, if it was chosen), and the changes."""
     lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
     if _same_values(found) and not lines:
         lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
@@ -265,11 +259,7 @@ def _cautions(found: Comparison) -> list[str]:
 
 
 def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
-    """Return an angle in degrees; '' for NaN.
-
-    Args:
-        value: rad.
-    """
+    """Return an angle, rad, in degrees; '' for NaN."""
     return fixed(float(np.degrees(value)), digits, sign)
 
 
@@ -675,15 +665,11 @@ def _angle_facts(one: AngleSpm) -> dict[str, Any]:
 
 def spm_figure(found: ComparisonSpm, comparison: Comparison) -> Plot:
     """Plot t over the cycle with threshold and clusters; angles with clusters first, a dozen at most."""
-    from matplotlib.figure import Figure as Plot
-
-    shown = sorted(found.angles, key=lambda one: (not one.clusters, -float(np.abs(one.t).max())))
-    shown = shown[:_DRAWN]
+    shown = sorted(found.angles, key=lambda one: (not one.clusters, -float(np.abs(one.t).max())))[:_DRAWN]
     height = math.ceil(len(shown) / _PANELS)
-    figure = Plot(figsize=(12, 0.8 + 2.6 * height), layout="constrained")
-    axes = figure.subplots(height, _PANELS, sharex=True, squeeze=False).ravel()
+    figure, axes = subplots(height, _PANELS, (12, 0.8 + 2.6 * height), sharex=True)
     x = 100 * found.phases
-    for ax, one in zip(axes, shown, strict=False):
+    for ax, one in zip(axes.flat, shown, strict=False):
         ax.plot(x, one.t, color="0.15", lw=1.2)
         for sign in (-1, 1):
             ax.axhline(sign * one.threshold, color="#c0392b", lw=0.8, ls="--")
@@ -693,7 +679,7 @@ def spm_figure(found: ComparisonSpm, comparison: Comparison) -> Plot:
         ax.set_title(label(one.name), fontsize=9, loc="left")
         ax.set_ylabel("SPM{t}, B - A", fontsize=8)
         ax.grid(alpha=0.3)
-    for ax in axes[len(shown) :]:
+    for ax in axes.flat[len(shown) :]:
         ax.set_visible(False)
     figure.suptitle(
         f"{comparison.a.name} (A) and {comparison.b.name} (B) over the cycle [%]: dashed, threshold; "

@@ -88,11 +88,7 @@ class Table:
         return cls(tuple(records[0]), [tuple(record.values()) for record in records])
 
     def text(self, missing: str = "") -> list[list[Any]]:
-        """Return the cells as texts; badges and HTML remain what they are.
-
-        Args:
-            missing: for None and NaN.
-        """
+        """Return the cells as texts, `missing` for None and NaN; badges and HTML remain what they are."""
         digits = self.digits or (None,) * len(self.columns)
         return [[_shown(cell, own, missing) for cell, own in zip(row, digits, strict=True)] for row in self.rows]
 
@@ -257,6 +253,14 @@ def write_json(path: Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n", overwrite=True)
 
 
+def subplots(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Plot, Any]:
+    """Return a figure of some inches without pyplot's global state, and its axes (rows, columns)."""
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
 def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
     """Draw figures, write them as PNG, and return them by name; none without matplotlib."""
     pictures: dict[str, bytes] = {}
@@ -271,11 +275,7 @@ def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
 
 
 def page(document: Document, pictures: Mapping[str, bytes] | None = None) -> str:
-    """Return a document as one HTML page.
-
-    Args:
-        pictures: of `write_figures`.
-    """
+    """Return a document as one HTML page, with the pictures of `write_figures`."""
     images = {name: base64.b64encode(data).decode() for name, data in (pictures or {}).items()}
     return render(
         "document.html",
@@ -291,11 +291,7 @@ def page(document: Document, pictures: Mapping[str, bytes] | None = None) -> str
 
 
 def badge(grade: Grade, word: str = "") -> Badge:
-    """Return the badge of a grade.
-
-    Args:
-        word: in place of that of `GRADE_WORDS`.
-    """
+    """Return the badge of a grade, with a word in place of that of `GRADE_WORDS`."""
     return Badge(word or GRADE_WORDS[grade], grade.value.replace(" ", "-"))
 
 
@@ -310,11 +306,6 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
         return ""
     text = f"{value:{'+' if sign else ''}.{digits}f}"
     return text if float(text) else text.lstrip("-+")
-
-
-def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
-    """Return the first names, and how many more there are."""
-    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _known(cell: Cell) -> Cell:

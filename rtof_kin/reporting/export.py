@@ -114,11 +114,7 @@ def export(
 
 
 def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
-    """Return the contents of ``summary.json``.
-
-    Args:
-        found: result of `reconstruct`, or the statistics of its parts.
-    """
+    """Return the contents of ``summary.json``; found: result of `reconstruct`, or the statistics of its parts."""
     statistics = ReconstructionStatistics.of(found)
     first = statistics.first
     results, sigmas = audit(statistics), statistics.mean_sigmas

@@ -13,6 +13,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reporting.document import subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -30,11 +31,7 @@ STAGE_COLORS: Final = {
 
 
 def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
-    """Write all figures that apply as PNG, and return their paths.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Write all figures that apply as PNG, and return their paths."""
     figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
     if result.stage_metrics:
         figures["error_over_time"] = error_over_time(result)
@@ -42,11 +39,7 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
 
 
 def save_figures(figures: Mapping[str, Plot], folder: str | Path) -> list[Path]:
-    """Write figures as PNG, and return their paths.
-
-    Args:
-        figures: name of the file without suffix -> figure.
-    """
+    """Write figures by the names of their files as PNG, and return their paths."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     paths = []
@@ -72,10 +65,7 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
     if result.recording.truth is not None:
         poses = comparable(poses, result.recording.truth, result.mode)
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(2.6 * instants, 6.4), layout="constrained")
-    axes = figure.subplots(2, instants, squeeze=False)
+    figure, axes = subplots(2, instants, (2.6 * instants, 6.4))
     sides, title = _sides(result)
     for column, frame in enumerate(frames):
         root = poses.p_world_joint[frame, 0]
@@ -98,17 +88,10 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
 
 
 def error_over_time(result: Reconstruction) -> Plot:
-    """Plot the mean joint error of each stage, absolute and relative to the root, over time.
-
-    Args:
-        result: of `reconstruct`, with a reference.
-    """
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(11, 6), layout="constrained")
-    axes = figure.subplots(2, 1, sharex=True)
+    """Plot the mean joint error of each stage over time, absolute and relative to the root, by a reference."""
+    figure, axes = subplots(2, 1, (11, 6), sharex=True)
     titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
-    for ax, (key, title) in zip(axes, titles.items(), strict=True):
+    for ax, (key, title) in zip(axes.flat, titles.items(), strict=True):
         for stage, metrics in result.stage_metrics.items():
             label = f"{stage}: mean {metrics[key]:.1f} mm"
             times = result.stages[stage].times
@@ -118,27 +101,20 @@ def error_over_time(result: Reconstruction) -> Plot:
         ax.set_ylim(bottom=0)
         ax.legend(loc="upper right", fontsize=8)
         ax.grid(alpha=0.3)
-    axes[-1].set_xlabel("time [s]")
+    axes[-1, 0].set_xlabel("time [s]")
     figure.suptitle(f"{result.recording.name}: mean per joint position error of each stage")
     return figure
 
 
 def joint_angles(result: Reconstruction) -> Plot:
-    """Plot flexion of knees and elbows over time, with the reference if there is one.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Plot flexion of knees and elbows over time, with the reference if there is one."""
     skeleton, poses = result.motion.skeleton, result.motion.poses
     truth = _truth_at(result)
     joints = hinges(skeleton)
     estimated = np.degrees(flexion(poses.p_world_joint, skeleton))
     true = None if truth is None else np.degrees(flexion(truth, skeleton))
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(11, 2.0 * len(joints)), layout="constrained")
-    axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
-    for ax, j in zip(axes, joints, strict=True):
+    figure, axes = subplots(len(joints), 1, (11, 2.0 * len(joints)), sharex=True)
+    for ax, j in zip(axes.flat, joints, strict=True):
         names = (dof.clinical.removeprefix("-") for dof in skeleton.table.joints[j].dofs)
         name = next(name for name in names if name.endswith("flexion"))
         if true is not None:
@@ -151,8 +127,8 @@ def joint_angles(result: Reconstruction) -> Plot:
         ax.set_title(name, fontsize=9)
         ax.set_ylabel("[deg]")
         ax.grid(alpha=0.3)
-    axes[0].legend(loc="upper right", fontsize=8)
-    axes[-1].set_xlabel("time [s]")
+    axes[0, 0].legend(loc="upper right", fontsize=8)
+    axes[-1, 0].set_xlabel("time [s]")
     figure.suptitle(f"{result.recording.name}: flexion angles (0 = straight)")
     return figure
 
@@ -169,11 +145,7 @@ def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
 
 
 def views(R_camera_world: Array) -> list[tuple[Array, str]]:
-    """Return the projections (2, 3) of a camera's view and of the view from its right, with axis labels.
-
-    Args:
-        R_camera_world: (3, 3).
-    """
+    """Return the projections (2, 3) of a camera's view (3, 3) and of the view from its right, with axis labels."""
     R = R_camera_world
     looks_down = np.hypot(*R[2, :2]) < 0.1  # then the top of the image is ahead
     forward = -R[1] if looks_down else R[2].copy()

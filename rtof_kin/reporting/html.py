@@ -35,13 +35,10 @@ def _environment() -> Environment:
 
 
 def render(template: str, styles: Iterable[str], scripts: Iterable[str] = (), rules: str = "", **parts: Any) -> str:
-    """Return a page of a template of the assets, in one file that opens offline.
+    """Return a page of a template that extends ``base.html``, in one file that opens offline.
 
-    Args:
-        template: extends ``base.html``. styles, scripts: assets, joined in this order; a page without scripts has
-            a policy that allows none.
-        rules: further ones of the style sheet.
-        parts: of the template; text is escaped unless it is `markupsafe.Markup`.
+    Styles and scripts are assets, joined in this order; a page without scripts has a policy that allows none. Further
+    `rules` end the style sheet. Text in parts is escaped unless it is `markupsafe.Markup`.
     """
     style, script = Markup("".join(map(asset, styles)) + rules), Markup("".join(map(asset, scripts)))
     return _environment().get_template(template).render(style=style, script=script, **parts)
@@ -67,10 +64,6 @@ def source_hash(text: str) -> str:
 
 
 def css_string(text: str) -> str:
-    """Return a text as a string of a style sheet, with everything but ASCII letters and digits escaped.
-
-    Args:
-        text: any.
-    """
+    """Return a text as a string of a style sheet, with everything but ASCII letters and digits escaped."""
     own = (c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text if c.isprintable())
     return f'"{"".join(own)}"'

@@ -23,6 +23,7 @@ from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
+from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.index import Session
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
@@ -189,10 +190,8 @@ def _origin(summary: Summary, session: Session, made: str) -> str:
 
 
 def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> list[Table]:
-    """Return the ranges of motion of pelvis and trunk, then right against left; no tables without an angle.
-
-    Args:
-        rows: the angles; headings among them have no range of motion.
+    """Return the ranges of motion of pelvis and trunk, then right against left; no tables without an angle. Headings
+    among the rows have no range of motion.
     """
     named = {row.name: row for row in rows}
     found: dict[str, dict[str, RangeOfMotion]] = {}
@@ -333,11 +332,7 @@ def gait_table(gait: GaitAnalysis) -> Table:
 
 
 def torque_tables(torques: JointTorques | None, skeleton: SkeletonTable) -> list[Table]:
-    """Return the peak torques, right against left; none without a body mass.
-
-    Args:
-        skeleton: whose degrees of freedom they act on.
-    """
+    """Return the peak torques on the skeleton's degrees of freedom, right against left; none without a body mass."""
     if torques is None:
         return []
     found: dict[str, dict[str, tuple[str, str, str]]] = {}
@@ -418,9 +413,8 @@ def _missing_data(motion: MotionSource) -> str:
     gaps = runs(~motion.masks.valid.any(axis=1))
     if not gaps:
         return f"no frame without an observation; missing samples: see {SECTIONS['streams']}"
-    spans = ", ".join(f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps[:8])
-    more = f" and {len(gaps) - 8} more" if len(gaps) > 8 else ""
-    return f"the person was not observed at {spans}{more}; interpolated, and marked as such"
+    spans = some([f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps], 8)
+    return f"the person was not observed at {spans}; interpolated, and marked as such"
 
 
 def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Table, list[str]]:

@@ -28,11 +28,7 @@ MISSING: Final = -32768  # NaN among packed numbers
 
 
 def shown_frames(times: Array) -> slice:
-    """Return the frames to play and to plot.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return the frames to play and to plot; times: (T,) s."""
     rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else SHOWN_HZ
     return slice(None, None, max(1, round(rate / SHOWN_HZ), math.ceil(len(times) / MOST_SHOWN)))
 
@@ -81,10 +77,8 @@ def _envelope(values: Array, usable: Array, step: int) -> NDArray[np.int64]:
 
 
 def envelope_frames(values: Array, step: int) -> NDArray[np.int64]:
-    """Return the frames with the lowest and the highest value of equal intervals, in order, two for each.
-
-    Args:
-        values: (T,), NaN where unknown. step: frames of an interval; the last one may be shorter.
+    """Return the frames with the lowest and the highest value of equal intervals, in order, two for each; values: (T,),
+    NaN where unknown; step: frames of an interval; the last one may be shorter.
     """
     rows = _intervals(values, step)
     known = np.isfinite(rows)
@@ -95,10 +89,8 @@ def envelope_frames(values: Array, step: int) -> NDArray[np.int64]:
 
 
 def widest_bands(half: Array, values: Array, step: int) -> Array:
-    """Return the largest half width of each interval of `envelope_frames`, twice.
-
-    Args:
-        half, values: (T,) half width of the band and its value, NaN where unknown.
+    """Return the largest half width of each interval of `envelope_frames`, twice; half, values: (T,) half width of the
+    band and its value, NaN where unknown.
     """
     bands = _intervals(np.where(np.isfinite(values), half, np.nan), step)
     widest = np.where(np.isfinite(bands), bands, -np.inf).max(axis=1)
@@ -111,11 +103,7 @@ def _intervals(values: Array, step: int) -> Array:
 
 
 def interval_times(times: Array, step: int) -> Array:
-    """Return two times in each interval of `envelope_frames`, s.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return two times in each interval of `envelope_frames`, s; times: (T,) s."""
     frames = np.arange(0, len(times), step)[:, None] + step * np.array([0.25, 0.75])
     return np.asarray(np.interp(frames.ravel(), np.arange(len(times)), times))
 
@@ -136,11 +124,7 @@ def _group(groups: dict[str, Data], row: AngleRow) -> Data:
 
 
 def cycle_curves_data(analysis: MotionAnalysis) -> Data:
-    """Return mean and standard deviation of angles over the gait cycle, in groups of both sides.
-
-    Args:
-        analysis: of the motion; without gait there are no curves.
-    """
+    """Return mean and standard deviation of angles over the gait cycle, in groups of both sides; none without gait."""
     groups: dict[str, Data] = {}
     if not analysis.gait.is_gait:
         return {"phase": [], "stance": {}, "groups": []}
@@ -160,11 +144,8 @@ def cycle_curves_data(analysis: MotionAnalysis) -> Data:
 
 
 def player_data(motion: Motion | MotionSource, shown: slice, floor: Any) -> Data:
-    """Return joint positions relative to the middle of the root's path, and frames [first, stop) in which
-    the bone that leads to a joint is unobserved.
-
-    Args:
-        shown: frames to plot, from the first on. floor: its height, m; None if unknown.
+    """Return joint positions relative to the middle of the root's path, and frames [first, stop) in which the bone that
+    leads to a joint is unobserved; shown: frames to plot, from the first on; floor: its height, m; None if unknown.
     """
     source, step = MotionSource.of(motion), shown.step or 1
     skeleton, masks = source.skeleton, source.masks
@@ -198,11 +179,7 @@ def _times(times: Array) -> list[float]:
 
 
 def packed(values: Array, scale: float) -> str:
-    """Return numbers as base64 of little-endian 16-bit integers; NaN and overflow are `MISSING`.
-
-    Args:
-        values: any shape.
-    """
+    """Return numbers of any shape as base64 of little-endian 16-bit integers; NaN and overflow are `MISSING`."""
     with np.errstate(invalid="ignore"):
         whole = np.round(np.asarray(values, dtype=float) * scale)
         inside = np.abs(whole) <= -MISSING - 1

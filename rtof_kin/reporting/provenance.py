@@ -145,10 +145,8 @@ _METHODS: Final = {
 
 
 def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Items]:
-    """Return topic -> item -> its value; None if the user must provide it.
-
-    Args:
-        inputs: of `report.provenance`. bands: whether angles have 95 % bands. gaps: description of missing data.
+    """Return topic -> item -> its value; None if the user must provide it; inputs: of `report.provenance`; bands:
+    whether angles have 95 % bands; gaps: description of missing data.
     """
     confidence = "95 % bands of the posterior, inflated on other subjects"
     return {

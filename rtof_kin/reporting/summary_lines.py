@@ -58,11 +58,7 @@ class Finding:
 
 
 def findings(analysis: MotionAnalysis, skeleton: SkeletonTable, sides: Comparison | None) -> tuple[Finding, ...]:
-    """Return the findings of an analysis, the largest first, at most one for each joint and measure.
-
-    Args:
-        sides: `compared_sides` of the analysis.
-    """
+    """Return the findings of an analysis with its `compared_sides`, the largest first, one for each subject."""
     rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
     found = [*_side_differences(sides), *_beyond_limits(rows, analysis.table, skeleton), *_asymmetries(analysis.gait)]
     out: dict[str, Finding] = {}
@@ -90,11 +86,7 @@ def is_second_sequence(name: str) -> bool:
 
 
 def with_band(value: float, sigma: float) -> str:
-    """Return an angle with the half width of its 95 % band, in degrees.
-
-    Args:
-        value, sigma: rad.
-    """
+    """Return an angle and the half width of its 95 % band, given in rad, in degrees."""
     return f"{np.degrees(value):.0f} ± {np.degrees(BAND_95 * sigma):.0f}°"
 
 

@@ -20,7 +20,7 @@ from rtof_kin.clinical.comparison_change import LEVEL
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
 from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import indices_of, some
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
 from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number
 from rtof_kin.reporting.visit_folders import Progress, read_visits
@@ -87,10 +87,8 @@ def follow(
 
 
 def document(found: FollowUp, notes: Sequence[str] = (), all_printed: bool = False) -> Document:
-    """Return a follow-up as a document.
-
-    Args:
-        notes: cautions about the input. all_printed: whether the terminal shows all measures.
+    """Return a follow-up as a document; notes: cautions about the input; all_printed: whether the terminal shows all
+    measures.
     """
     headline, *others = _opening(found)
     subject = found.visits[0].trials[0].setup.subject or "Follow-up"
@@ -136,11 +134,7 @@ def name_of(measure: Measure) -> str:
 
 
 def value_text(measure: Measure, value: float, sign: bool = False) -> str:
-    """Return a value in its unit of output, without the unit; '' for NaN.
-
-    Args:
-        value: in the unit of computation.
-    """
+    """Return a value, in the unit of computation, in that of output, without the unit; '' for NaN."""
     return fixed(value * measure.scale, _DIGITS[measure.unit], sign)
 
 
@@ -194,19 +188,14 @@ def _listed(shown: Sequence[Followed], visit: int) -> str:
     named = [
         f"{name_of(one.measure)} {one.outcome(visit)} "
         f"({value_text(one.measure, change.difference, True)} {one.measure.unit})"
-        for one in sorted(shown, key=p)[:_MOST]
+        for one in sorted(shown, key=p)
         if (change := one.changes[visit]) is not None
     ]
-    more = f" and {len(shown) - _MOST} more" if len(shown) > _MOST else ""
-    return "; ".join(named) + more
+    return some(named, _MOST, "; ")
 
 
 def reasoning(one: Followed, visit: int) -> str:
-    """Return one sentence on why a measure has its outcome.
-
-    Args:
-        visit: index of the visit, not of the baseline.
-    """
+    """Return one sentence on why a measure has its outcome at a visit, not the baseline."""
     change, outcome, unit = one.changes[visit], one.outcome(visit), one.measure.unit
     if change is None:
         return "Not observed, or not reliably, in this visit or in the baseline."
@@ -379,7 +368,11 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         return number(scale * value)
 
     bands, trials, both = (one.errors.bands, one.errors.trials, one.errors.both)
-    low, high = (None, None) if change is None else map(size, change.interval)
+    sizes, tests = [math.nan] * 5, [math.nan] * 2
+    if change is not None:
+        sizes = [change.difference, *change.interval, change.detectable, one.mostly(visit)]
+        tests = [change.p, change.p_adjusted]
+    difference, low, high, detectable, mostly = map(size, sizes)
     return {
         "measure": one.measure.name,
         "unit": one.measure.unit,
@@ -388,14 +381,14 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         "trials": 0 if own is None else len(own.values),
         "value": size(one.estimates[visit]),
         "sd": size(one.sigmas[visit]),
-        "change": None if change is None else size(change.difference),
+        "change": difference,
         "interval_low": low,
         "interval_high": high,
         "outcome": None if visit == found.baseline else one.outcome(visit).value,
-        "detectable": None if change is None else size(change.detectable),
-        "shown_in_4_of_5": None if change is None else size(one.mostly(visit)),
-        "p": None if change is None else number(change.p),
-        "p_holm": None if change is None else number(change.p_adjusted),
+        "detectable": detectable,
+        "shown_in_4_of_5": mostly,
+        "p": number(tests[0]),
+        "p_holm": number(tests[1]),
         "better": one.better,
         "sem_bands": size(bands.sem),
         "sem_repeats": size(trials.sem),
@@ -541,7 +534,10 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> P
     figure = Plot(figsize=(13, height))
     figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.27, hspace=0.45)
     grid = figure.subplots(lines, _PANELS, squeeze=False).ravel()
-    x, names = _days(found), [visit.name for visit in found.visits]
+    days = [visit.day.toordinal() for visit in found.visits if visit.day is not None]
+    if len(set(days)) < len(found.visits):  # then they are numbered
+        days = list(range(len(found.visits)))
+    x, names = np.array(days, dtype=float), [visit.name for visit in found.visits]
     for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
         for one in own:
             _plot(ax, found, one, x)
@@ -560,14 +556,6 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> P
         va="top",
     )
     return figure
-
-
-def _days(found: FollowUp) -> Array:
-    """(V,) days of the visits, or their numbers where not all have days of their own."""
-    days = [visit.day.toordinal() for visit in found.visits if visit.day is not None]
-    if len(set(days)) < len(found.visits):
-        return np.arange(len(found.visits), dtype=float)
-    return np.array(days, dtype=float)
 
 
 def _plot(ax: Any, found: FollowUp, one: Followed, x: Array) -> None:

@@ -36,7 +36,7 @@ def make_sensor_recording(
 
     Args:
         sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; height and pose (`rtof_kin.inertial.poses`) are used.
+        settings: of the user; height and pose (`rtof_kin.inertial.pose_calibration.POSES`) are used.
         name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
 
     Raises:

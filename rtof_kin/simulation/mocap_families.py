@@ -152,11 +152,7 @@ def restored_offsets(motion: ArticulatedMotion, family: Family) -> Array:
 
 
 def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) -> float:
-    """Return the one of `UNITS_M` that gives human legs, m.
-
-    Raises:
-        FileFormatError: none does.
-    """
+    """Return the one of `UNITS_M` that gives human legs, m; `FileFormatError` where none does."""
     offsets = restored_offsets(motion, family)
     below_hip = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
     joints = [motion.index(family.at[NAMES.index(joint)][0]) for joint in below_hip]

@@ -48,14 +48,9 @@ CLAVICLE_DEG: Final = (5.0, 1.5, 6.0)
 
 
 def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
-    """Return a movement as a person with another neutral posture makes it.
-
-    Args:
-        poses: (T, J) the movement.
-
-    Returns:
-        The movement with pelvis, lumbar spine and clavicles turned by constants in their own frames. Limbs,
-        head and upper trunk keep their orientations; the lowest foot keeps its height.
+    """Return a movement (T, J) as a person with another neutral posture makes it: with pelvis, lumbar spine and
+    clavicles turned by constants in their own frames. Limbs, head and upper trunk keep their orientations; the lowest
+    foot keeps its height.
     """
     R, p_root = np.array(poses.R_world_bone), poses.p_world_joint[:, 0]
     at = {name: skeleton.names.index(name) for name in ("Hips", *SPINE, "LeftShoulder", "RightShoulder")}
@@ -230,13 +225,9 @@ def simulate_file(
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
-    """Remove the jitter of optical markers, which would dominate an IMU's acceleration.
-
-    Orientations are low-pass filtered by element (zero phase) and projected to the nearest rotation, the
-    root's position likewise; joints follow by forward kinematics.
-
-    Args:
-        cutoff_hz: -3 dB frequency, Hz, below half that rate.
+    """Remove the jitter of optical markers, which would dominate an IMU's acceleration. Orientations are low-pass
+    filtered by element (zero phase, -3 dB at `cutoff_hz`, below half that rate) and projected to the nearest rotation,
+    the root's position likewise; joints follow by forward kinematics.
     """
     poses = clip.poses
     if not 0 < cutoff_hz < poses.rate_hz / 2:

@@ -148,11 +148,7 @@ class FragmentSolver:
         keypoints: KeypointSequence,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
     ) -> Iterator[PoseSequence]:
-        """Yield the poses of `solve`, N/2 frames at a time, each block as soon as it is final.
-
-        Args:
-            start, keypoints, bone_imus: as for `solve`.
-        """
+        """Yield the poses of `solve`, with its arguments, N/2 frames at a time, each block as soon as it is final."""
         guess, bone_imus = self._guess(start, keypoints, bone_imus, None)
         for block in self._solver.run(guess, keypoints, bone_imus, None, None):
             p, R = block.p_world_joint, block.R_world_bone

@@ -89,11 +89,7 @@ class InertialGuidedIK:
         return self._posed(poses, p, R, sensed)
 
     def orient(self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None) -> PoseSequence:
-        """Return the poses with the orientations of `refine` and unchanged positions.
-
-        Args:
-            poses: (T, J). bone_imus: any subset of segments, at any times.
-        """
+        """Return the poses with the orientations of `refine`, by any subset of sensors at any times; positions stay."""
         R, sensed = self._rotations(poses, bone_imus, None)
         return self._posed(poses, poses.p_world_joint, R, sensed)
 

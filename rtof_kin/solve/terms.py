@@ -300,20 +300,12 @@ def reprojection(p_camera: Matrix, uv_px: Matrix, K: Matrix) -> Matrix:
 
 
 def acceleration(p: Matrix, a_world: Matrix, rate_hz: Matrix) -> Matrix:
-    """Return central second difference minus measured acceleration (3, n - 2), m/s^2: E_A.
-
-    Args:
-        p: (3, n) positions of the sensor, m. a_world: (3, n - 2) m/s^2.
-    """
+    """Return central second difference of positions (3, n), m, minus measured acceleration (3, n - 2), m/s^2: E_A."""
     return (p[:, 2:] - 2 * p[:, 1:-1] + p[:, :-2]) * rate_hz**2 - a_world
 
 
 def velocity(p: Matrix, v_world: Matrix, rate_hz: Matrix) -> Matrix:
-    """Return central difference minus measured velocity (3, n - 2), m/s.
-
-    Args:
-        p: (3, n) positions of the point, m. v_world: (3, n - 2) m/s.
-    """
+    """Return central difference of points (3, n), m, minus measured velocity (3, n - 2), m/s."""
     return (p[:, 2:] - p[:, :-2]) / 2 * rate_hz - v_world
 
 
@@ -322,30 +314,18 @@ DIFFERENCES: Final = {1: (velocity, (-0.5, 0.0, 0.5)), 2: (acceleration, (1.0, -
 
 
 def bone_vector(p_joint: Matrix, p_child: Matrix, b_world: Matrix) -> Matrix:
-    """Return bone from joint to child minus the rest bone turned by the sensor (3, n), m: E_B.
-
-    Args:
-        p_joint, p_child, b_world: (3, n) m.
-    """
+    """Return bone from joint to child minus the rest bone turned by the sensor, all (3, n), m: E_B."""
     return p_child - p_joint - b_world
 
 
 def jerk(p: Matrix, j_world: Matrix, rate_hz: Matrix) -> Matrix:
-    """Return third difference minus a target (3, n - 3), m/s^3: E_S.
-
-    Args:
-        p: (3, n) m. j_world: (3, n - 3) m/s^3, zero for smoothness.
-    """
+    """Return third difference of p (3, n), m, minus a target (3, n - 3), m/s^3, zero for smoothness: E_S."""
     difference = p[:, 3:] - 3 * p[:, 2:-1] + 3 * p[:, 1:-2] - p[:, :-3]
     return difference * rate_hz**3 - j_world
 
 
 def distance(p_a: Matrix, p_b: Matrix, length: Matrix) -> Matrix:
-    """Return the distance of two points of a rigid segment minus its length (1, n), m.
-
-    Args:
-        p_a, p_b: (3, n) m. length: of the skeleton, m.
-    """
+    """Return the distance of two points (3, n) of a rigid segment minus its length (1, n), m."""
     difference = p_b - p_a
     return ca.sqrt(ca.sum1(difference * difference)) - length
 
@@ -389,11 +369,7 @@ def orientation(q: Matrix, q_measured: Matrix) -> Matrix:
 
 
 def rotation_vector(q: Matrix, q_mean: Matrix) -> Matrix:
-    """Return the rotation vector of a joint from its mean, in its axes (3, 1), rad.
-
-    Args:
-        q, q_mean: unit quaternions (4, 1).
-    """
+    """Return the rotation vector of a joint from its mean, unit quaternions (4, 1), in its axes (3, 1), rad."""
     error = quat_multiply(quat_conjugate(q_mean), q)
     sign = ca.if_else(error[0] < 0, -1, 1)
     sine = ca.sqrt(ca.sumsqr(error[1:]) + 1e-18)
@@ -401,18 +377,10 @@ def rotation_vector(q: Matrix, q_mean: Matrix) -> Matrix:
 
 
 def step_jerk(steps: Matrix, rate_hz: Matrix) -> Matrix:
-    """Return the jerk of tangent coordinates (D, n - 2), m/s^3 or rad/s^3.
-
-    Args:
-        steps: (D, n) m or rad from each frame to the next.
-    """
+    """Return the jerk, m/s^3 or rad/s^3 (D, n - 2), of steps (D, n), m or rad, from each frame to the next."""
     return (steps[:, 2:] - 2 * steps[:, 1:-1] + steps[:, :-2]) * rate_hz**3
 
 
 def height(p: Matrix, floor: Matrix) -> Matrix:
-    """Return the height of a point over that of standing (1, n), m.
-
-    Args:
-        p: (3, n) m. floor: height of a standing point, m.
-    """
+    """Return the height (1, n), m, of a point p (3, n), m, over that of standing."""
     return p[2, :] - floor

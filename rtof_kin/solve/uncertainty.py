@@ -300,11 +300,7 @@ def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
 
 
 def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
-    """Return the class of the observation of a covariance, a key of `SEEN`.
-
-    Args:
-        kind: of `UNITS`. root: the root joint's name.
-    """
+    """Return the class of the observation of a covariance of a kind in `UNITS`, a key of `SEEN`."""
     if not sensors:
         return "camera"
     if kind == "position":
@@ -319,11 +315,7 @@ def outer_squares(vectors: Array) -> Array:
 
 
 def unsided(name: str) -> str:
-    """Return a joint's name, or those of a pair, without their side.
-
-    Args:
-        name: of a joint, or of two joints separated by a space.
-    """
+    """Return a joint's name, or those of a pair separated by a space, without their side."""
     return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
 
 
@@ -356,12 +348,7 @@ of all other joints; and of turns relative to the knee's. Of six of those record
 def residual_statistics(
     keypoints: KeypointSequence, motion: Motion, lifted: PoseSequence, sensors: Sequence[str] = ()
 ) -> ResidualStatistics:
-    """Return the statistics of a reconstructed recording.
-
-    Args:
-        keypoints: as used, evenly spaced, at the motion's times.
-        lifted: the lifter's poses with their standard deviations (`PoseSequence.sigma_rad`).
-    """
+    """Return the statistics of a reconstruction: its even keypoints, and lifted poses with `PoseSequence.sigma_rad`."""
     keypoints = measurements(keypoints, motion.skeleton)
     points, poses = image_points(motion.skeleton, keypoints.names), motion.poses
     at = points.positions(poses.p_world_joint, poses.R_world_bone)

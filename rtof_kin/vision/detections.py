@@ -89,10 +89,8 @@ class Detections:
     def of_frames(
         cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
-        """Create detections from the people of each frame.
-
-        Args:
-            frames: frame number -> people; frames without an entry are empty. times: (T,) s.
+        """Create detections from the people of each frame by number, at times (T,), s; frames without an entry are
+        empty.
 
         Raises:
             InvalidInputError: no people, different numbers of points, or too much data.
@@ -124,10 +122,8 @@ class Detections:
         return np.asarray((self.confidence > 0).any(axis=-1))
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
-        """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
-
-        Raises:
-            InvalidInputError: the image size is missing.
+        """Return detections in pixels; coordinates up to 3 are fractions of the image size, without which is
+        `InvalidInputError`.
         """
         largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
         if largest > _LARGEST_RELATIVE:
@@ -141,11 +137,7 @@ class Detections:
 
 
 def of_body(found: Detections) -> Detections:
-    """Return detections without face and hands, where they are of a whole body; else unchanged.
-
-    Args:
-        found: in any layout.
-    """
+    """Return detections without face and hands, where they are of a whole body; else unchanged."""
     K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
     if K is None:
         return found
@@ -176,11 +168,7 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 
 
 def read_csv_table(path: Path) -> Detections:
-    """Read a .csv of either form.
-
-    Raises:
-        FileFormatError: unreadable, or its columns are no points.
-    """
+    """Read a .csv of either form; `FileFormatError` where it is unreadable, or its columns are no points."""
     columns = read_csv(path)
     return _of_rows(path, columns) if has_rows(columns) else _of_columns(path, columns)
 

@@ -46,11 +46,8 @@ class Layout:
 
     @classmethod
     def of(cls, name: str, title: str, names: Iterable[str], points: Mapping[str, str] | None = None) -> Self:
-        """Return the layout of points in a detector's own words.
-
-        Args:
-            names: K names of the points (``left_big_toe``, ``LBigToe``).
-            points: which point of the table each is, where its name does not say it.
+        """Return the layout of points in a detector's own words (``left_big_toe``, ``LBigToe``); `points`: which point
+        of the table each is, where its name does not say it.
         """
         names, renamed = tuple(map(str, names)), points or {}
         return cls(name, title, names, tuple(str(renamed.get(n, _canonical(n))) for n in names))
@@ -59,10 +56,8 @@ class Layout:
         return len(self.names)
 
     def order(self, names: Sequence[str]) -> list[int] | None:
-        """Return the index of each of the K points among names, or None if one is missing.
-
-        Args:
-            names: in any order and spelling (``LBigToe``, ``left_big_toe``).
+        """Return the index of each of the K points among names in any order and spelling (``LBigToe``,
+        ``left_big_toe``), or None if one is missing.
         """
         given = [_canonical(name).lower() for name in names]
         wanted = [_canonical(name).lower() for name in self.names]
@@ -83,23 +78,14 @@ class DetectorTable:
     """Landmark of the skeleton that is no joint -> points that show it, itself included."""
 
     def layout(self, name: str) -> Layout:
-        """Return a layout.
-
-        Raises:
-            UnknownNameError: there is none; the message lists those known.
-        """
+        """Return a layout; `UnknownNameError`, which lists those known, where there is none."""
         if name not in self.layouts:
             raise UnknownNameError("layout of keypoints", [name], list(self.layouts))
         return self.layouts[name]
 
     def nearest(self, names: Sequence[str]) -> tuple[Layout | None, tuple[int | None, ...]]:
-        """Return the layout of which most points are named, and the index of each, None where it is not.
-
-        Args:
-            names: of points; those that a layout lacks are ignored.
-
-        Returns:
-            None and () where no layout has `FEWEST_NAMED` of its points among them.
+        """Return the layout of which most points are named, and the index of each, None where it is not; names that it
+        lacks are ignored. None and () where no layout has `FEWEST_NAMED` of its points among them.
         """
         given = [_canonical(name).lower() for name in names]
 

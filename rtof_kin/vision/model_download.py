@@ -80,10 +80,7 @@ class ModelSet:
 
 
 def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
-    """Return all sets of models, the preferred first.
-
-    Args:
-        path: .toml file; the shipped one if None.
+    """Return all sets of models of a .toml file, by default the shipped one, the preferred first.
 
     Raises:
         FileFormatError: a field is missing or of the wrong kind.
@@ -92,11 +89,7 @@ def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
 
 
 def model_set(name: str) -> ModelSet:
-    """Return a set of models.
-
-    Raises:
-        UnknownNameError: there is none of this name.
-    """
+    """Return a set of models; a name of none raises `UnknownNameError`."""
     known = {each.name: each for each in model_sets()}
     if name not in known:
         raise UnknownNameError("set of models", [name], list(known))

@@ -168,10 +168,7 @@ class MediaPipeDetector:
     points: int = 33
 
     def __init__(self, model: str | Path | None = None, people: int = MOST_PEOPLE):
-        """Load a model.
-
-        Args:
-            model: ``.task`` file; None: the model inside the package.
+        """Load a model, by default the ``.task`` file inside the package.
 
         Raises:
             FileFormatError: it cannot be read. RtofError: MediaPipe is not installed, or without a model.
@@ -197,11 +194,7 @@ class MediaPipeDetector:
         self._stamp_ms, self._started = -1, False
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
-        """Return the people in the next image of a video, the surest first.
-
-        Args:
-            image: (height, width, 3), BGR. time: of the image, s.
-        """
+        """Return the people in the next image (height, width, 3), BGR, of a video, at a time, s, the surest first."""
         self._stamp_ms = max(self._stamp_ms + 1, round(1000 * time))
         rgb = np.ascontiguousarray(image[..., ::-1])
         picture = self._mediapipe.Image(image_format=self._mediapipe.ImageFormat.SRGB, data=rgb)

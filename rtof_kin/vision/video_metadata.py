@@ -284,10 +284,7 @@ class Phone(NamedTuple):
 
 
 def lens_prior(width_px: int, height_px: int, metadata: VideoMetadata | None = None) -> LensPrior:
-    """Return what can be assumed of the lens of an uncalibrated camera.
-
-    Args:
-        metadata: of the video; None where there is none.
+    """Return what can be assumed of the lens of an uncalibrated camera, by the video's metadata where there is some.
 
     Raises:
         InvalidInputError: a size is not positive.
@@ -331,10 +328,8 @@ def _lens(metadata: VideoMetadata | None) -> tuple[float, float, float, float, s
 
 
 def find_phone(make: str | None, model: str | None) -> Phone | None:
-    """Return the entry of a phone or tablet in the shipped table, None if it has none.
-
-    Args:
-        make, model: names of maker and model as in files; case does not matter.
+    """Return the entry of a phone or tablet, by maker and model as in files, case aside, in the shipped table; or
+    None.
     """
     wanted, maker = (model or "").strip().lower(), (make or "").strip().lower()
     for phone in phone_table():

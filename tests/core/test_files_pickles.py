@@ -110,25 +110,6 @@ def test_a_command_is_refused_and_not_run(path: Path, place: Callable[[Any], Any
     assert mark.exists()  # an ordinary reader would have run it
 
 
-@pytest.mark.parametrize(
-    "content, name",
-    [
-        (Harm(eval, "1/0"), r"builtins\.eval"),
-        (Harm(getattr, "", "join"), r"builtins\.getattr"),
-        (Harm(np.load, "/etc/passwd", None, True), r"numpy.*\.load"),
-        (Harm(np.fromfile, "/etc/passwd"), r"numpy.*\.fromfile"),
-        (Harm(pickle.loads, b"."), r"_pickle\.loads"),
-        (Harm(bytearray, 10**9), r"builtins\.bytearray"),
-        (np.ma.masked_array([1.0], [True]), r"numpy\.ma"),
-        (np.datetime64("2020-01-01"), "M8"),
-        (np.array(["a"]), "U1"),
-    ],
-)
-def test_only_plain_data_and_numeric_arrays_are_made(path: Path, content: Any, name: str) -> None:
-    with pytest.raises(FileFormatError, match=rf"its pickle: not opened.*{name}"):
-        read(path, pickle.dumps({"S1": [content]}, 4))
-
-
 REPEATED = (
     b"\x8e" + struct.pack("<Q", 80_000) + bytes(80_000) + b"q\x05" + filled(b"M\x10\x27\x85", dtype("f8"), b"h\x05")
 )

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from protocol_support import read_json
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes, RayCluster, open_runs, run_jobs
 from rtof_kin.core.jobs import processes as module
-from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, resident_memory, total_memory
+from rtof_kin.core.jobs.memory import available_memory, resident_memory
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
 
@@ -92,18 +91,6 @@ def test_failures_are_reported_by_job_and_do_not_stop_the_others(
     assert "Traceback" in caplog.text  # of the crash
     assert "a: a: the take is too short" in caplog.text
     assert not [path for path in runs.glob("*.json") if path.stem != "b"]
-
-
-def test_progress_is_called_after_every_job(log: Path, runs: Path, caplog: pytest.LogCaptureFixture) -> None:
-    jobs = orders(log, a="work", b="refuse", c="work")
-    reports: list[tuple[int, int, str]] = []
-    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
-    assert reports == [(0, 3, ""), (1, 3, "a"), (2, 3, "b failed: b: the take is too short"), (3, 3, "c")]
-    assert not caplog.records
-    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
-    assert reports[4] == (2, 3, "2 of 3 were done before")
-    with pytest.raises(InvalidInputError, match="workers: 0"):
-        run_jobs(obey, jobs, runs, 0)
 
 
 def test_worker_processes_have_one_thread_each_and_change_no_result(
@@ -264,20 +251,6 @@ def test_every_job_has_one_answer(engine: Engine) -> None:
     assert answers(engine, engine_jobs.fail, {"a": "raise"}) == {"a": "ZeroDivisionError: by nothing"}
 
 
-def test_jobs_are_taken_as_there_is_room_for_them() -> None:
-    taken = []
-
-    def jobs() -> Iterator[tuple[str, int]]:
-        for k in range(100):
-            taken.append(k)
-            yield str(k), k
-
-    results = Processes(1).run(engine_jobs.square, jobs())
-    next(results)
-    assert len(taken) < 5
-    results.close()
-
-
 def test_workers_are_warm_have_one_thread_and_are_replaced_after_so_many_jobs() -> None:
     found = answers(Processes(1, jobs_per_worker=2), engine_jobs.whereabouts, dict.fromkeys("abcd", 0))
     workers = [process for process, _ in found.values()]
@@ -386,21 +359,6 @@ def test_limit_of_a_control_group_is_the_memory(version: int, tmp_path: Path) ->
         spare = "inactive_file" if version == 2 else "total_inactive_file"
         (top / folder / "memory.stat").write_text(f"anon 5\n{spare} 400000000\n")
     assert available_memory(proc, groups) == 2_400_000_000
-
-
-def test_memory_of_this_process_is_measured() -> None:
-    total = total_memory()
-    assert total is not None
-    reset_peak()
-    before = peak_memory()
-    assert before is not None
-    block = bytearray(200_000_000)
-    block[::4096] = b"x" * len(block[::4096])
-    after = peak_memory()
-    assert after is not None
-    assert 150_000_000 < after - before < 300_000_000
-    assert 0 < resident_memory(os.getpid()) <= total
-    assert resident_memory(2**22 + 1) == 0
 
 
 # --- Ray -----------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics import simd, simd_codegen
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd, whole
+from rtof_kin.core.numerics import simd
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
 
 Array = NDArray[np.float64]
@@ -107,21 +107,6 @@ def test_every_operation_equals_the_interpreter() -> None:
                 np.testing.assert_allclose(own, expected, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.usefixtures("vectors")
-def test_long_function_is_split_into_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    x = ca.SX.sym("x", 6)
-    values = [x[i] for i in range(6)]
-    for k in range(400):  # many values are used again much later
-        values.append(ca.sin(values[-1 - k % 5]) + 0.9 * values[k // 2] * values[(7 * k) % len(values)])
-    given = FrameFunction(ca.Function("long", [x], [ca.vertcat(*values[-50:])]))
-    rows = 0.3 * np.random.default_rng(0).normal(size=(11, 6))
-    (expected,) = one_by_one(given.function, rows)
-    for piece in (7, 100):
-        monkeypatch.setattr(simd_codegen, "_PIECE", piece)
-        (own,) = Mapped(code_of(given)["long"], given, len(rows))(rows)
-        np.testing.assert_allclose(own, expected, rtol=1e-10, atol=1e-12)
-
-
 def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     given = FrameFunction(ca.Function("between", [x, y], [y - x]))
@@ -151,17 +136,6 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
         Over(code, given, 13, [columns.at(columns.given(rows))], [columns.at(total), matrix], places)()
         np.testing.assert_allclose(matrix, expected, rtol=1e-14)
         np.testing.assert_allclose(columns.rows(total)[:, 0], rows.sum(axis=1), rtol=1e-13, atol=1e-14)
-
-
-@pytest.mark.parametrize("frames, padded", [(1, 8), (8, 8), (9, 16), (50, 56)])
-def test_columns_are_aligned_and_padded(frames: int, padded: int) -> None:
-    assert whole(frames) == padded
-    columns = Columns(frames)
-    array = columns.zeros(3)
-    assert array.ctypes.data % 64 == array.strides[0] % 64 == 0
-    assert array.shape[1] >= padded + 2 * GROUP
-    rows = np.arange(3.0 * frames).reshape(frames, 3)
-    np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
 
 
 def zeros(rows: int, frames: int = 9) -> Array:

@@ -12,7 +12,6 @@ import pytest
 
 from rtof_kin.core.errors import ExtensionError, InvalidInputError, MissingPackageError, UnknownNameError
 from rtof_kin.core.packages import Extensions, can_draw, install, optional
-from rtof_kin.formats.sensors import files
 from rtof_kin.vision import layouts
 from rtof_kin.vision.landmark_regression import LandmarkRegression
 from rtof_kin.vision.layouts import Layout, add_layout, detector_table
@@ -85,12 +84,6 @@ def installed(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: str) -> E
     return Extensions("a.group", str, lambda text: text)
 
 
-def test_installed_and_added_are_known_in_alphabetical_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = installed(tmp_path, monkeypatch, b="added_values:SECOND", a="added_values:FIRST")
-    known.add("other")
-    assert known.all() == ("first", "other", "second")
-
-
 @pytest.mark.parametrize(
     ("value", "message"),
     [
@@ -104,12 +97,6 @@ def test_what_cannot_be_used_names_the_package(
 ) -> None:
     with pytest.raises(ExtensionError, match=message):
         installed(tmp_path, monkeypatch, a=value).all()
-
-
-def test_names_of_built_in_formats_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files.ADDED, "_added", {})
-    with pytest.raises(InvalidInputError, match="'plain CSV' is the name of one that is built in"):
-        files.add_format(files.FORMATS[-1])
 
 
 def test_a_layout_is_known_everywhere_once_added(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
-from rtof_kin.datasets.human36m_files import CAMERA_IDS, JOINTS_OF_32, read_cameras
+from rtof_kin.datasets.human36m_files import JOINTS_OF_32, read_cameras
 
 SKELETON = SkeletonModel.human36m()
 TWO = ("S9", "S11")
@@ -203,43 +203,6 @@ def test_the_camera_file_can_be_given(root: Path, own: tuple[Path, files.Positio
         Human36M(folder).recording("S9", "Action 0", 0)
 
 
-def change_json(change: Callable[[dict[str, Any]], Any]) -> str:
-    data = files.camera_json(("S9",))
-    change(data)
-    return json.dumps(data)
-
-
-def setter(*keys: str, value: Any) -> Callable[[dict[str, Any]], None]:
-    def set_(data: dict[str, Any]) -> None:
-        for key in keys[:-1]:
-            data = data[key]
-        if value is None:
-            del data[keys[-1]]
-        else:
-            data[keys[-1]] = value
-
-    return set_
-
-
-LAST = CAMERA_IDS[3]
-
-
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        (setter("extrinsics", value={}), "there is no camera of any subject"),
-        (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-        (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
-        (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
-    ],
-)
-def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
-    path = tmp_path / "cameras.json"
-    path.write_text(change_json(change))
-    with pytest.raises(FileFormatError, match=rf"cameras\.json: .*{message}"):
-        read_cameras(path)
-
-
 def changed_source(old: str, new: str) -> str:
     intrinsics, extrinsics = files.camera_source(("S9",))
     text = f"h36m_cameras_intrinsic_params = {intrinsics!r}\nh36m_cameras_extrinsic_params = {extrinsics!r}\n"
@@ -381,25 +344,6 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
 
 
 @pytest.mark.parametrize(
-    "entry, message",
-    [
-        ([np.zeros((12, 17, 2))] * 3, "not a list of four cameras"),
-        ([np.zeros((12, 16, 2))] * 4, r"camera 0: expected shape \(T, 17, 2\), got \(12, 16, 2\)"),
-        ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
-    ],
-)
-def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
-    root, positions = own
-    entries = files.keypoints(positions)
-    entries["S9"]["Action 2"] = entry
-    files.write_keypoints(root, entries)
-    data = Human36M(root)
-    with pytest.raises(FileFormatError, match=rf"data_2d_h36m_gt\.npz: S9 'Action 2'.*{message}"):
-        data.recording("S9", "Action 2", 0)
-    data.recording("S9", "Action 1", 0)
-
-
-@pytest.mark.parametrize(
     "metadata",
     [
         {**files.METADATA, "layout_name": "coco"},
@@ -415,20 +359,3 @@ def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Position
     files.write_keypoints(root, files.keypoints(positions), "detectron_pt_coco", metadata)
     with pytest.raises(FileFormatError, match=r"coco\.npz: metadata: .*only Human3\.6M's own 17"):
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
-
-
-@pytest.mark.parametrize(
-    "content, message",
-    [
-        (None, "not a dictionary of subjects"),
-        ([1], "not a dictionary"),
-        ({"S9": [1, 2]}, "not a dictionary"),
-        ({"S9": None}, "not a dictionary"),
-    ],
-)
-def test_an_archive_of_something_else_is_refused(tmp_path: Path, content: Any, message: str) -> None:
-    box = np.empty((), dtype=object)
-    box[()] = content
-    np.savez(tmp_path / "data_3d_h36m.npz", positions_3d=box)
-    with pytest.raises(FileFormatError, match=rf"data_3d_h36m\.npz: positions_3d: .*{message}"):
-        Human36M(tmp_path).motion("S9", "Action 0")

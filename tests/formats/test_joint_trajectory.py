@@ -13,7 +13,6 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.joint_trajectory import (
     BASE_COLUMNS,
     joint_velocities,
@@ -90,13 +89,6 @@ def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
 
 
-@pytest.mark.parametrize("text", ["time,a\n", "a,time\n1,2\n", "1,2\n3,4\n", "time,a\n1,x\n"])
-def test_other_table_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
-    (tmp_path / "walk.csv").write_text(text)
-    with pytest.raises(FileFormatError, match=r"walk\.csv"):
-        read_joint_trajectory_csv(tmp_path / "walk.csv")
-
-
 def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: Motion) -> None:
     joints, base = messages(tmp_path, motion)
     assert set(joints) == set(base) == {"header", "joint_names", "points"}
@@ -109,15 +101,6 @@ def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: M
     (transform,) = base["points"][3]["transforms"]
     np.testing.assert_allclose(list(transform["translation"].values()), motion.q[3, :3])
     np.testing.assert_allclose(list(transform["rotation"].values()), motion.q[3, 3:7])
-
-
-def test_stamps_count_seconds_and_nanoseconds_from_the_start(tmp_path: Path, motion: Motion) -> None:
-    times = np.linspace(12.25, 12.25 + 0.7 * (T - 1), T)
-    for message in messages(tmp_path, replace(motion, poses=replace(motion.poses, times=times))):
-        stamps = [point["time_from_start"] for point in message["points"]]
-        assert stamps[0] == {"sec": 0, "nanosec": 0}
-        assert stamps[3] == {"sec": 2, "nanosec": 100_000_000}
-        assert all(0 <= stamp["nanosec"] < 10**9 for stamp in stamps)
 
 
 def test_unknown_frames_separate_two_trajectories(tmp_path: Path, motion: Motion) -> None:

@@ -91,12 +91,6 @@ def test_file_of_version_1_is_read(measurements, filmed, tmp_path):
     assert (found.faults, found.floor_height) == (given.faults, -0.5)
 
 
-def test_nothing_measured_is_read_back(tmp_path):
-    write_measurements(tmp_path / "m.h5", Measurements(np.array([0.0, 0.1])))
-    found = read_measurements(tmp_path / "m.h5")
-    assert (found.views, found.sensors, found.truth, found.faults) == ((), (), None, ())
-
-
 def test_points_of_a_handheld_camera_return_to_its_video(filmed, measurements, tmp_path):
     seen, motion = filmed
     still = stabilised(seen, motion)
@@ -136,15 +130,6 @@ def test_cut_and_resampled_keypoints_keep_their_place_in_the_video(filmed):
     )
 
 
-def test_a_saved_recording_keeps_video_times_and_turning(filmed, tmp_path):
-    seen, motion = filmed
-    still = replace(stabilised(seen, motion), own_times=seen.times + 7)
-    Recording("r", keypoints=still).save(tmp_path / "r")
-    found = Recording.load(tmp_path / "r").video
-    np.testing.assert_array_equal(found.video_times, still.video_times)
-    np.testing.assert_allclose(found.in_video(slice(None)), still.in_video(slice(None)), atol=1e-6)
-
-
 def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
     path = tmp_path / "m.npz"
     write_measurements(tmp_path / "m.h5", measurements)
@@ -163,13 +148,6 @@ def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
         write_npz(path, changed, overwrite=True)
         with pytest.raises(FileFormatError, match=what):
             read_measurements(path)
-
-
-def test_measurements_check_their_shapes(measurements):
-    with pytest.raises(InvalidInputError, match="other times"):
-        replace(measurements, times=measurements.times + 1)
-    with pytest.raises(InvalidInputError, match="segments"):
-        replace(measurements, segments=("Spine",))
 
 
 @pytest.fixture(scope="module")

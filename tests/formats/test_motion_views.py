@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.formats.motion_views import check_known, even_times, joint_tree, landmark_markers, pieces
+from rtof_kin.formats.motion_views import even_times, joint_tree, landmark_markers, pieces
 from rtof_kin.formats.world_axes import UP
 
 
@@ -30,19 +27,6 @@ def test_pieces_end_at_unknown_and_bridged_frames(motion: Motion) -> None:
     valid = np.array(motion.poses.valid)
     valid[:, 3] = False  # one joint is no gap of the motion
     assert pieces(replace(motion, poses=replace(motion.poses, valid=valid))) == [(0, 60)]
-
-
-@pytest.mark.parametrize("view", [check_known, joint_tree])
-def test_unknown_frame_is_named(view: Callable[[Motion], object], motion: Motion) -> None:
-    list(view(motion) or ())
-    with pytest.raises(InvalidInputError, match="frame 20 .*`pieces`"):
-        list(view(with_gap(motion)) or ())
-
-
-@given(st.floats(-100, 1e6), st.floats(1e-3, 1.0), st.integers(1, 300))
-def test_even_times_stay_as_they_are(start: float, step: float, frames: int) -> None:
-    times = start + step * np.arange(frames)
-    np.testing.assert_allclose(even_times(times), times, rtol=0, atol=1e-6 * step + 1e-9)
 
 
 def test_jitter_of_stamps_is_evened_and_more_is_refused() -> None:

@@ -14,7 +14,7 @@ from opensim_support import read_by_opensim
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim import (
     coordinate_values,
@@ -237,17 +237,3 @@ def test_tabs_blanks_and_states_are_read(tmp_path: Path) -> None:
 def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
     read_text_as_table(tmp_path, GOOD + "0.0\t\t1.0\n0.1\t5\t1.0\n")
     assert np.isnan(read_opensim_table(tmp_path / "a.mot").values[0, 0])
-
-
-@pytest.mark.parametrize(
-    "text, named",
-    [
-        (GOOD.replace("inDegrees=yes", "") + ROWS, "inDegrees"),
-        (GOOD.replace("time", "frame") + ROWS, "time"),
-        (GOOD + "0.0\tx\t1.0\n", "numbers"),
-        (GOOD.replace("pelvis_tx", "knee_angle_r") + ROWS, "more than once"),
-    ],
-)
-def test_damage_is_named(text: str, named: str, tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=named):
-        read_text_as_table(tmp_path, text)

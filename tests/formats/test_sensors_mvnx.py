@@ -86,21 +86,6 @@ def test_damaged_and_hostile_files_are_refused(tmp_path: Path, text: str, messag
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "frames",
-    [
-        "<frame index='0'>" + "<x/>" * 30000,  # without end
-        "<a>" * 30000,  # nested
-        f"<frame index='0'><position>{'1 ' * 60000}",  # one long text
-        f"<a b='{'1' * 120000}'/>",  # one long attribute
-    ],
-)
-def test_element_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str) -> None:
-    monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**14)
-    with pytest.raises(FileFormatError, match="an element in it is larger"):
-        read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
-
-
 def test_too_large_and_missing_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mvnx, "LARGEST_BYTES", 100)
     with pytest.raises(FileFormatError, match="split it"):

@@ -46,22 +46,6 @@ def test_cut_last_line_is_left_out_with_a_note(tmp_path: Path) -> None:
     assert got.notes == ("line 5 was cut off and is left out",)
 
 
-@pytest.mark.parametrize(
-    ("content", "line", "message"),
-    [
-        ("", 1, "ends before a line of column names"),
-        (HEAD + "1,2,ok,5\n", 4, "4 cells under 3 column names"),
-        ("t;x;Status\n1;2,5;ok\n", 2, "'2,5' is not a number; write decimal points"),
-        (HEAD + "1," + "2" * 70000 + ",ok\n", 4, "longer than 65536 bytes"),
-    ],
-)
-def test_damaged_table(tmp_path: Path, content: str | bytes, line: int | None, message: str) -> None:
-    with pytest.raises(FileFormatError, match=message) as caught:
-        table(tmp_path, content)
-    assert caught.value.line == line
-    assert "walk.csv" in str(caught.value)
-
-
 def test_ignored_column_may_hold_anything(tmp_path: Path) -> None:
     assert table(tmp_path, HEAD + "1,2,1e999\n").values.tolist() == [[1, 2]]
 

@@ -174,21 +174,6 @@ def test_dot_declared_rate_and_counter_give_times_after_the_first_stamp(tmp_path
     np.testing.assert_allclose(read_xsens_dot([path], rate_hz=60).streams[0].times, 1 + np.arange(20) / 60)
 
 
-@pytest.mark.parametrize(
-    "old, new, rate_hz, says",
-    [
-        ("SampleTimeFine", "Time", None, "no column SampleTimeFine"),
-        ("PacketCounter", "Packet", 60, "no column PacketCounter"),
-        ("Quat_W", "Quat_S", None, "has columns Quat_X, Quat_Y, Quat_Z and no Quat_W"),
-    ],
-)
-def test_dot_missing_column(tmp_path: Path, old: str, new: str, rate_hz: float | None, says: str) -> None:
-    path = dot(tmp_path, dot_text(ONE, STAMPS).replace(old, new))
-    with pytest.raises(FileFormatError, match=says) as caught:
-        read_xsens_dot([path], rate_hz=rate_hz)
-    assert caught.value.path == path
-
-
 def test_dot_restarted_stamps_are_an_error_with_their_line(tmp_path: Path) -> None:
     stamps = np.concatenate([STAMPS[:10] + 2_000_000_000, STAMPS[:10]])
     with pytest.raises(FileFormatError, match="line 17: SampleTimeFine goes from"):

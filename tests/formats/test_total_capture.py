@@ -64,19 +64,6 @@ def test_every_spacing_of_a_joint_table(text: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.values, [[[1, 2, 3], [4, 5, 6]]])
 
 
-def test_invalid_joint_tables_are_refused_with_their_line(paths: dict[str, Path]) -> None:
-    with pytest.raises(FileFormatError, match=r"gt_skel_gbl_ori.txt, line 2: .*21 joints of 3.*84"):
-        read_joints(paths["orientations"], 3)
-    rows = support.lines(paths["positions"])
-    write(paths["positions"], "".join(rows[:6]) + rows[6][:200])
-    with pytest.raises(FileFormatError, match=r"line 7: .*\b5\b.*again"):
-        read_joints(paths["positions"], 3)
-    rows[4] = rows[4].replace(rows[4].split()[10], "1,25")
-    write(paths["positions"], "".join(rows))
-    with pytest.raises(FileFormatError, match="line 5: .*1,25"):
-        read_joints(paths["positions"], 3)
-
-
 @pytest.mark.parametrize("kind", ["sensors", "aux"])
 def test_written_sensors_are_read_from_both_kinds_of_file(kind: str, paths: dict[str, Path]) -> None:
     imus = support.take().imus
@@ -104,41 +91,12 @@ def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Pa
         read_sensors(paths["sensors"])
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "count", "message"),
-    [
-        ("13\t", "thirteen\t", 1, "line 1"),
-        ("Pelvis\t", "Pelvic\t", 1, "line"),
-        ("Pelvis", "Head", -1, "line 3: .*twice"),
-        ("13\t90", "12\t90", 1, "line .*90 frames of 12 sensors"),
-    ],
-)
-def test_invalid_sensors_file(old: str, new: str, count: int, message: str, paths: dict[str, Path]) -> None:
-    support.edit(paths["sensors"], old, new, count=count)
-    with pytest.raises(FileFormatError, match=rf"Xsens.sensors, {message}"):
-        read_sensors(paths["sensors"])
-
-
 def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))
     assert list(found) == ["Head", "Pelvis"]
     np.testing.assert_allclose(found["Head"], [-0.698693, -0.000693276, 0.030256, 0.714781], atol=1e-5)
     np.testing.assert_array_equal(found["Pelvis"], [0, 0, 0, 1])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("2\nHead 0 0 0 1\n", "1"),
-        ("1\nHead 0 0 0\n", "line 2"),
-        ("2\nHead 0 0 0 1\nHead 0 0 0 1\n", "line 3.*Head"),
-        ("1\nHead nan 0 0 1\n", "line 2"),
-    ],
-)
-def test_invalid_calibration_is_refused(text: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=rf"ref.txt.*{message}"):
-        read_imu_calibration(write(tmp_path / "ref.txt", text))
 
 
 def test_written_cameras_are_read_in_the_files_world(paths: dict[str, Path]) -> None:
@@ -180,43 +138,10 @@ def test_camera_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.project([1.5, 1.5, 3.0]), expected)
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"head": "2 1"}, "2"),
-        ({"x": "1 0 0.5"}, "rotation"),
-        ({"focal": "nan 1210 959.5 539.5"}, "nan|finite|focal"),
-        ({"head": "1.5 1"}, "numbers of cameras"),
-    ],
-)
-def test_invalid_camera_file_is_refused(changed: dict[str, str], message: str, tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=f"c.cal.*({message})"):
-        read_cameras(write(tmp_path / "c.cal", one_camera(**changed)))
-
-
-@pytest.mark.parametrize("kind", READERS)
-def test_other_content_is_refused_by_name(kind: str, tmp_path: Path) -> None:
-    for content in (b" \r\n\r\n", b"\x00\xff\xfe\x80" * 50, b"<!DOCTYPE html>\n<html/>\n", b"13\n"):
-        path = tmp_path / f"{kind}.txt"
-        path.write_bytes(content)
-        with pytest.raises(FileFormatError, match=rf"{kind}\.txt"):
-            READERS[kind](path)
-
-
 @pytest.mark.parametrize("kind", ["positions", "orientations", "sensors", "aux", "cameras"])
 def test_incomplete_download_is_refused(kind: str, paths: dict[str, Path]) -> None:
     data = paths[kind].read_bytes()
     for share in (0.02, 0.3, 0.77, 0.97):
         paths[kind].write_bytes(data[: int(share * len(data)) - 3])
         with pytest.raises(FileFormatError, match=paths[kind].name):
-            READERS[kind](paths[kind])
-
-
-@pytest.mark.parametrize("kind", ["positions", "orientations", "sensors"])
-def test_numbers_that_are_not_finite_are_refused(kind: str, paths: dict[str, Path]) -> None:
-    rows = support.lines(paths[kind])
-    for word in ("inf", "nan", "1e999"):
-        changed = [*rows[:3], rows[3].replace(rows[3].split()[2], word, 1), *rows[4:]]
-        write(paths[kind], "".join(changed))
-        with pytest.raises(FileFormatError, match=f"{paths[kind].name}, line 4: .*{word}"):
             READERS[kind](paths[kind])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import planted
 import pytest
-from xdf_file import Stream, chunk, content
+from xdf_file import Stream, content
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -184,50 +183,6 @@ def test_recording_that_was_cut_off_is_read_up_to_its_last_chunk(tmp_path: Path)
     assert "incomplete" in log.file_notes[0]
     path.write_bytes(whole[:300])
     with pytest.raises(FileFormatError):
-        read_xdf(path)
-
-
-HEADER = IMU.header
-HUGE = b"\x08" + struct.pack("<Q", 2**40)
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        content(IMU).replace(b"XDF:", b"XDF;"),
-        content(IMU).replace(b"<channel_count>7", b"<channel_count>9"),
-        content(IMU).replace(b"double64", b"object64"),
-        content(IMU).replace(b"</name>", b"</nome>"),
-        content(IMU).replace(b'<?xml version="1.0"?>', b"<!DOCTYPE a [ ]>     "),
-        b"XDF:" + chunk(2, HEADER, 1) + chunk(2, HEADER, 1),
-        b"XDF:" + chunk(3, IMU.samples(0, 2), 1),
-        b"XDF:" + chunk(2, HEADER, 1) + chunk(3, HUGE, 1),
-        b"XDF:" + chunk(2, HEADER, 1) + chunk(3, IMU.samples(0, 3) + b"\0", 1),
-        b"XDF:" + chunk(2, HEADER, 1) + chunk(4, b"\0" * 8, 1),
-        b"XDF:" + chunk(9, b""),
-        b"XDF:\x05",
-        content(replace(IMU, times=np.where(np.arange(T) == 9, np.nan, TIMES))),
-    ],
-    ids=[
-        "magic",
-        "channels",
-        "format",
-        "xml",
-        "doctype",
-        "two headers",
-        "no header",
-        "huge",
-        "overlong",
-        "offset",
-        "tag",
-        "length",
-        "stamp",
-    ],
-)
-def test_damage_is_an_error(damage: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "take.xdf"
-    path.write_bytes(damage)
-    with pytest.raises(FileFormatError, match="take.xdf"):
         read_xdf(path)
 
 

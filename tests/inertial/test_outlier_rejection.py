@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults, reject_imu_outliers
+from rtof_kin.inertial.outlier_rejection import find_disagreements, reject_imu_outliers
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -124,21 +123,3 @@ def test_disagreements_have_beginning_and_end() -> None:
     assert (fault.kind, fault.what) == (FaultKind.DISAGREES, "LeftForeArm")
     assert fault.start == pytest.approx(1.0, abs=0.1)
     assert fault.stop == pytest.approx(2.0, abs=0.1)
-
-
-def test_masks_cover_the_faults_only() -> None:
-    own, fault = sensors(), StreamFault(FaultKind.DISAGREES, "LeftLeg", 1.0, 1.5)
-    less = mask_faults(own, [fault])
-    s = own.joints.index("LeftLeg")
-    gone = np.zeros((T, len(own.joints)), dtype=bool)
-    gone[60:91, s] = True
-    np.testing.assert_array_equal(np.isnan(less.R_world_bone).all(axis=(2, 3)), gone)
-    np.testing.assert_array_equal(np.isnan(less.a_world).all(axis=2), gone)
-    np.testing.assert_array_equal(less.R_world_bone[~gone], own.R_world_bone[~gone])
-
-
-def test_faults_name_sensor_time_and_action() -> None:
-    fault = StreamFault(FaultKind.STUCK, "L_LowArm", 1.0, 2.5)
-    assert str(fault) == "L_LowArm, 1.00 to 2.50 s: the sensor repeated one sample; it was left out"
-    with pytest.raises(InvalidInputError, match="ends at 1 s, before 2 s"):
-        StreamFault(FaultKind.STUCK, "L_LowArm", 2.0, 1.0)

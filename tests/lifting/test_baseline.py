@@ -13,7 +13,6 @@ from torch import Tensor, nn
 
 from lifting import videopose3d
 from lifting.body import Body
-from lifting.checkpoint import load_checkpoint
 from lifting.model import NetworkConfig
 from lifting.models import model_of
 from lifting.predict import Lifter
@@ -24,7 +23,6 @@ from lifting.training.settings import TrainConfig
 from lifting.training.train import train
 from lifting.videopose3d import PoseAndRootNetwork, bridged, decode, encode
 from lifting.windows import Picture, Windows
-from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.data.camera import Camera
 
 CPU = torch.device("cpu")
@@ -157,14 +155,6 @@ def test_the_recipe_is_the_published_one() -> None:
     assert recipe.memory(100) == 0.0
 
 
-def test_settings_of_a_model_are_its_own_unless_given() -> None:
-    assert TrainConfig(windows=1).channels == 256
-    config = TrainConfig.for_model("videopose3d", windows=1, channels=64, dropout=0.0, batch=None)
-    assert (config.channels, config.dropout, config.batch) == (64, 0.0, 1024)
-    with pytest.raises(UnknownNameError, match="Did you mean 'videopose3d'"):
-        TrainConfig(windows=1, model="videopose")
-
-
 def test_the_root_error_is_weighted_by_its_depth() -> None:
     bank = MotionBank(support.tiny_corpus(frames=40), [0, 1], CPU)
     batch = bank.draw(8, 27, plain(), torch.Generator().manual_seed(0))
@@ -216,20 +206,3 @@ def test_it_trains_loads_and_predicts(trained: Path) -> None:
     assert np.linalg.norm(error[:, 0], axis=-1).mean() < 0.6
     assert np.isnan(lifted.sigma_m).all()
     assert np.isnan(lifted.R_world_bone).all()
-
-
-def test_its_checkpoint_describes_it(trained: Path) -> None:
-    network, description = load_checkpoint(trained)
-    assert isinstance(network, PoseAndRootNetwork)
-    assert description.network.model == "videopose3d"
-    assert description.body.sensors == ()
-    assert description.recipe["model"] == "videopose3d"
-    assert set(description.validation) == {
-        "perfect",
-        "realistic",
-        "independent",
-        "perfect, bones unknown",
-        "realistic, floor known",
-    }
-    known = {key: errors["rr_mm"] for key, errors in description.validation.items()}
-    assert known["perfect"] == known["perfect, bones unknown"]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import lifting_support as support
-import numpy as np
 import pytest
-import torch
 
-from lifting.body import Body, bone_groups, side_of
+from lifting.body import Body, bone_groups
 from lifting.windows import sizes
 from rtof_kin.body.skeleton_table import SkeletonTable
 
@@ -20,22 +18,6 @@ def body() -> Body:
 @pytest.fixture(scope="module")
 def body_17() -> Body:
     return support.tiny_corpus(table=support.TABLE_17).body()
-
-
-@pytest.mark.parametrize(
-    ("name", "side", "rest"),
-    [
-        ("LeftArm", "left", "Arm"),
-        ("RightUpLeg", "right", "UpLeg"),
-        ("LElbow", "left", "Elbow"),
-        ("RHip", "right", "Hip"),
-        ("Hip", "", "Hip"),
-        ("Root", "", "Root"),
-        ("Lumbar", "", "Lumbar"),
-    ],
-)
-def test_sides_are_read_from_names(name: str, side: str, rest: str) -> None:
-    assert side_of(name) == (side, rest)
 
 
 @pytest.mark.parametrize(
@@ -64,37 +46,6 @@ def test_every_joint_of_the_17_has_its_counterpart(body_17: Body) -> None:
         swapped = {"L": "R", "R": "L"}.get(name[0], name[0]) + name[1:]
         assert body_17.names[j] == swapped
     assert len(bone_groups(body_17.names)) == 10  # 4 in the middle, 6 of two sides
-
-
-def test_a_joint_without_a_counterpart_is_its_own_mirror_image() -> None:
-    assert Body(("Hips", "LeftArm", "RightHand"), (-1, 0, 0), ()).mirrored == [0, 1, 2]
-
-
-def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> None:
-    offsets = torch.from_numpy(support.TABLE.offsets + np.random.default_rng(0).normal(size=(21, 3)))
-    mirrored = offsets[body.mirrored] * torch.tensor([1.0, -1.0, 1.0])
-    torch.testing.assert_close(body.bones_of(mirrored), body.bones_of(offsets))
-
-
-def test_the_21_joints_have_13_sensors_and_the_17_none(body: Body, body_17: Body) -> None:
-    assert set(body.sensors) == {
-        "Head",
-        "Spine3",
-        "Hips",
-        "LeftArm",
-        "RightArm",
-        "LeftForeArm",
-        "RightForeArm",
-        "LeftUpLeg",
-        "RightUpLeg",
-        "LeftLeg",
-        "RightLeg",
-        "LeftFoot",
-        "RightFoot",
-    }
-    assert len(body.sensors) == 13
-    assert [body.names[j] for j in body.sensor_joints] == list(body.sensors)
-    assert body_17.sensors == ()
 
 
 def test_sizes_of_input_and_output(body: Body, body_17: Body) -> None:

@@ -61,35 +61,12 @@ def test_a_lifter_round_trips(lifter: Lifter, saved: Path) -> None:
         assert torch.equal(network.state_dict()[name], tensor), name
 
 
-def test_causal_lifters_and_those_without_sensors_round_trip(tmp_path: Path) -> None:
-    for given in (support.untrained_lifter(causal=True), support.untrained_lifter(table=support.TABLE_17)):
-        path = tmp_path / "lifter.pt"
-        save_checkpoint(path, given.network, given.description, overwrite=True)
-        network, description = load_checkpoint(path)
-        assert description == given.description
-        assert network.estimated() == given.network.estimated()
-
-
 def test_a_single_changed_weight_is_found(saved: Path) -> None:
     def nudge(content: dict[str, Any]) -> None:
         content["weights"]["shrink.bias"][0] += 1e-6
 
     rewrite(saved, nudge)
     with pytest.raises(FileFormatError, match="checksum does not match"):
-        load_checkpoint(saved)
-
-
-def test_a_changed_description_is_found(saved: Path) -> None:
-    rewrite(saved, lambda c: c.update(description=c["description"].replace("LeftHand", "RightHnd")))
-    with pytest.raises(FileFormatError, match="checksum does not match"):
-        load_checkpoint(saved)
-
-
-@pytest.mark.parametrize("keep", [0.0, 0.1, 0.5, 0.99])
-def test_truncated_files_are_refused(saved: Path, keep: float) -> None:
-    data = saved.read_bytes()
-    saved.write_bytes(data[: int(keep * len(data))])
-    with pytest.raises(FileFormatError, match=r"lifter\.pt: .*(copy|not a readable lifter)"):
         load_checkpoint(saved)
 
 

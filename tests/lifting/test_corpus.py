@@ -26,7 +26,6 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.human36m import SUBJECTS_TRAIN
-from rtof_kin.datasets.total_capture import TEST
 from rtof_kin.simulation.mocap import MocapClip, read_mocap
 
 EXCERPT = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
@@ -65,12 +64,6 @@ def test_clips_at_another_rate_are_resampled() -> None:
     np.testing.assert_allclose(corpus.positions(0), corpus.positions(1), atol=1e-5)
 
 
-def test_an_integer_ratio_of_rates_takes_every_nth_frame() -> None:
-    clip = read_mocap(EXCERPT)
-    half = join_clips([(clip, "train")], rate_hz=30)
-    np.testing.assert_allclose(half.positions(0), clip.poses.p_world_joint[::2], atol=1e-5)
-
-
 def seventeen(bend: float = 0.0, rate_hz: float = 50.0) -> MocapClip:
     """A clip of the 17 joints whose left shoulder moves up and down by `bend`."""
     table = support.TABLE_17
@@ -101,13 +94,6 @@ def test_another_body_has_the_same_nonrigid_motion() -> None:
     shift = bent.positions(0, other) - rigid.positions(0, other)
     np.testing.assert_allclose(shift, bent.positions(0) - rigid.positions(0), atol=1e-5)
     assert np.abs(shift).max() > 0.029
-
-
-def test_nonrigid_motion_round_trips(tmp_path: Path) -> None:
-    corpus = join_clips([(seventeen(0.03), "train")], support.TABLE_17.parents, 50.0, "ask")
-    back = read_corpus(corpus.save(tmp_path / "motion.npz"))
-    np.testing.assert_array_equal(back.beyond_rigid, corpus.beyond_rigid)
-    assert (back.rate_hz, back.acknowledgement) == (50.0, "ask")
 
 
 def test_clips_of_different_skeletons_are_refused() -> None:
@@ -141,16 +127,6 @@ def test_a_split_without_clips_names_the_subjects(corpus: Corpus) -> None:
     assert tested.clips("train", required=False) == []
 
 
-def test_different_bodies_are_listed_once_largest_first(corpus: Corpus) -> None:
-    offsets = corpus.joint_offsets.copy()
-    offsets[1] = offsets[0] + 4e-4  # as measured twice
-    twins = replace(corpus, joint_offsets=offsets, split=("train", "train", "train", "test"))
-    bodies = twins.skeletons("train", at_most=5)
-    assert len(bodies) == 2
-    np.testing.assert_array_equal(bodies[0], offsets[0])
-    assert len(twins.skeletons("train", at_most=1)) == 1
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -169,26 +145,12 @@ def test_inconsistent_corpora_are_refused(corpus: Corpus, change: dict, message:
         replace(corpus, **change)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"not an archive at all"])
-def test_damaged_files_are_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "bad.npz"
-    path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"bad\.npz: damaged, or no NPZ archive"):
-        read_corpus(path)
-
-
 def test_a_missing_file_and_a_missing_field_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="there is no such file"):
         read_corpus(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "half.npz", joint_names=["a"], parents=[-1])
     with pytest.raises(FileFormatError, match="quat_wxyz"):
         read_corpus(tmp_path / "half.npz")
-
-
-def test_a_split_is_read_by_subject(tmp_path: Path) -> None:
-    path = tmp_path / "split.toml"
-    path.write_text('test = ["a"]\nvalidation = ["b", "c"]\n[benchmark]\nseconds = 10.0\n')
-    assert read_split(path) == {"a": "test", "b": "validation", "c": "validation"}
 
 
 @pytest.mark.parametrize(
@@ -259,17 +221,6 @@ def test_the_motion_of_training_takes_is_that_of_the_files(takes: Path) -> None:
         np.testing.assert_allclose(shift[..., :2], 0, atol=1e-4)
         np.testing.assert_allclose(shift[..., 2], shift[0, 0, 2], atol=1e-4)
         np.testing.assert_allclose(corpus.joint_offsets[clip], truth.joint_offsets, atol=1e-4)
-
-
-def test_missing_takes_are_reported_and_test_takes_not_read(takes: Path) -> None:
-    reports: list[tuple[int, int, str]] = []
-    total_capture_corpus(takes, lambda *report: reports.append(report))
-    assert [done for done, _, _ in reports] == list(range(1, 28))
-    assert {total for _, total, _ in reports} == {27}
-    assert [note for _, _, note in reports if "skipped" not in note] == [f"{s} {n}" for s, n in sorted(FEW)]
-    (walking,) = (note for _, _, note in reports if note.startswith("S1 walking3"))
-    assert "S1 walking3 skipped: unknown take" in walking
-    assert not [note for _, _, note in reports if note.split(" skipped")[0].split() in map(list, TEST)]
 
 
 def test_a_take_is_cut_where_the_reference_jumps_and_damage_is_skipped(tmp_path: Path) -> None:

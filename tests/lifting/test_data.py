@@ -10,8 +10,6 @@ from torch import Tensor
 
 from lifting.training.corpus import Corpus
 from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
-from lifting.windows import rotations
-from rtof_kin.core import rotations as so3
 
 B, W = 64, 27
 CPU = torch.device("cpu")
@@ -49,27 +47,6 @@ def test_plain_windows_are_the_recorded_poses(corpus: Corpus, bank: MotionBank) 
     torch.testing.assert_close(batch.pose[:, 2], p[:, 2] - p[:, 2, :1], atol=1e-5, rtol=0)
 
 
-def test_rays_of_the_middle_frame_point_at_the_joints(bank: MotionBank) -> None:
-    batch = draw(bank, replace(AugmentConfig(), noise=plain().noise))
-    p = batch.pose + batch.root[:, :, None]
-    cosine = torch.cosine_similarity(batch.windows.rays_world[:, :, W // 2], p, dim=1)
-    assert torch.all(cosine[batch.windows.seen[:, W // 2]] > 1 - 1e-6)
-    assert batch.windows.seen[:, W // 2].float().mean() > 0.95
-
-
-def test_windows_move_as_the_motion_does(corpus: Corpus, bank: MotionBank) -> None:
-    batch = draw(bank, plain(), frames=torch.full((B,), 40))
-    root = torch.from_numpy(corpus.positions(0)[:, 0])
-    step = root[50] - root[40]
-    ray = batch.windows.rays_world[:, :, W // 2 + 10, 0]
-    # The camera's heading is any, so the height tells how far away the root has come to be.
-    away = (batch.root[:, 2] + step[2]) * ray[:, :2].norm(dim=1) / ray[:, 2]
-    change = (away - batch.root[:, :2].norm(dim=1)).abs()
-    level = batch.root[:, 2].abs() < 0.2  # there the height tells nothing
-    assert change[~level].max() < step[:2].norm() + 1e-3
-    assert change[~level].max() > 0.9 * step[:2].norm()
-
-
 def test_camera_height_is_measured_from_the_floor(corpus: Corpus, bank: MotionBank) -> None:
     config = replace(AugmentConfig(), hide_height=0.0, height_error=0.0)
     frames = torch.arange(B)
@@ -93,37 +70,6 @@ def test_known_bones_are_those_of_the_pose(bank: MotionBank) -> None:
         torch.testing.assert_close(mean, known[:, g], atol=2e-3, rtol=0)
 
 
-def test_mirroring_exchanges_left_and_right(corpus: Corpus, bank: MotionBank) -> None:
-    frames = torch.arange(B)
-    normal = draw(bank, plain(), frames=frames)
-    mirrored = draw(bank, replace(plain(), mirror=1.0), frames=frames)
-    order = bank.body.mirrored
-    torch.testing.assert_close(
-        all_pairs(mirrored.pose), all_pairs(normal.pose)[:, order][:, :, order], atol=1e-4, rtol=0
-    )
-    assert handedness(mirrored.pose, order) == -handedness(normal.pose, list(range(21)))
-
-
-def handedness(pose: Tensor, order: list[int]) -> int:
-    """Sign of the volume spanned by three bones of the first pose."""
-    a = pose[0][:, order]
-    return int(torch.sign(torch.det(torch.stack([a[:, 6], a[:, 10], a[:, 17]]))))
-
-
-def test_tilt_leans_some_bodies_and_leaves_their_shape(bank: MotionBank) -> None:
-    frames = torch.arange(B)
-    normal = draw(bank, plain(), frames=frames)
-    tilted = draw(bank, replace(plain(), tilt=1.0), frames=frames)
-    torch.testing.assert_close(all_pairs(tilted.pose), all_pairs(normal.pose), atol=1e-4, rtol=0)
-    before, after = (rotations(b.axes)[..., 0].double().numpy() for b in (normal, tilted))
-    turn = so3.log(after @ np.swapaxes(before, -1, -2))
-    angle = np.linalg.norm(turn, axis=-1)
-    assert 0.6 < angle.max() <= 0.7 + 1e-6
-    assert angle.min() < 0.1
-    assert np.abs(turn[:, 2]).max() < 1e-5, "about a horizontal axis"
-    assert (tilted.pose[:, 2, 6] - normal.pose[:, 2, 6]).abs().max() > 0.05
-
-
 def test_recombined_bodies_keep_the_legs_of_one_motion(corpus: Corpus, bank: MotionBank) -> None:
     frames = torch.arange(B)
     whole = draw(bank, plain(), frames=frames)
@@ -134,15 +80,6 @@ def test_recombined_bodies_keep_the_legs_of_one_motion(corpus: Corpus, bank: Mot
     assert same[:, legs][:, :, legs].max() < 1e-4
     assert same[: B // 2, arms][:, :, legs].amax(dim=(1, 2)).min() > 1e-3
     assert same[B // 2 :].max() < 1e-4
-
-
-def test_time_is_warped_within_the_clip(bank: MotionBank) -> None:
-    frames = torch.full((B,), 45)
-    slow = draw(bank, replace(plain(), warp=(0.5, 0.5)), frames=frames)
-    fast = draw(bank, replace(plain(), warp=(1.0, 1.0)), frames=frames)
-    torch.testing.assert_close(slow.windows.rays_world[:, :, 23], fast.windows.rays_world[:, :, 18])
-    edge = draw(bank, plain(), frames=torch.zeros(B, dtype=torch.long))
-    assert torch.equal(edge.windows.rays_world[:, :, 0], edge.windows.rays_world[:, :, 13])
 
 
 def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:

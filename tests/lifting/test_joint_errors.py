@@ -12,22 +12,18 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.data import MotionBank, plain
 from lifting.training.joint_errors import (
     Draw,
     JointErrors,
     View,
     about_axis,
     exchanged,
-    harmonics,
     hidden_joints,
     jumps,
     mean_error,
-    path_basis,
     rig_places,
     smooth_errors,
 )
-from lifting.training.noise import TRAINING_NOISE
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
@@ -115,14 +111,6 @@ def test_drawn_errors_have_the_tables_mean_and_covariance(body: Body) -> None:
     assert correlation.abs().mean() < 0.06, "amplitudes differ between limbs, so a little is lost"
 
 
-def test_paths_are_ornstein_uhlenbeck_or_constant() -> None:
-    for memory in (0.5, 0.3):
-        basis = path_basis(W, RATE_HZ, memory)
-        lag = (torch.arange(W)[:, None] - torch.arange(W)).abs() / RATE_HZ
-        np.testing.assert_allclose(basis @ basis.T, torch.exp(-lag / memory), atol=0.12)
-    assert torch.equal(path_basis(W, RATE_HZ, float("inf")), torch.ones(W, 1))
-
-
 def test_a_place_is_projected_as_a_camera_does(body: Body) -> None:
     """Independent reference: move the joint and project."""
     view = standing(body, 50.0, rows=1, side=0.8)
@@ -183,29 +171,6 @@ def test_limbs_jump_rarely_briefly_and_far(body: Body) -> None:
     assert there.sum(dim=1)[there.any(dim=1)].float().median() <= 4
     assert error[:, 0, :, arm[2]][there[..., arm[2]]].abs().median() == pytest.approx(0.115, rel=0.3)
     assert not there[..., arm[0]].any()
-
-
-def test_harmonics_of_a_mirrored_direction_change_signs_alone() -> None:
-    v = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), dim=1)
-    one, other = harmonics(v), harmonics(v * torch.tensor([1.0, -1.0, 1.0]))
-    torch.testing.assert_close(one.abs(), other.abs())
-
-
-def test_realistic_windows_err_as_the_table_says() -> None:
-    """End to end: the errors in the image of drawn windows, in m at the joints' depth."""
-    bank = MotionBank(support.tiny_corpus(frames=200), [0, 1], torch.device("cpu"))
-    noise = replace(TRAINING_NOISE["realistic"], amplitude=(1.0, 1.0))
-
-    def seen(kind: object) -> tuple[Tensor, Tensor]:
-        batch = bank.draw(800, W, plain(kind), torch.Generator().manual_seed(0))  # type: ignore[arg-type]
-        assert batch.windows.picture is not None
-        p = batch.windows.picture.R_camera_world @ (batch.pose + batch.root[:, :, None])
-        return batch.windows.picture.xy[:, :, W // 2] * 960 / 1250, p
-
-    xy, p = seen(noise)
-    error = ((xy - p[:, :2] / p[:, 2:]) * p[:, 2:]).norm(dim=1).median(dim=0).values
-    assert error.min() > 0.015
-    assert error.max() < 0.09
 
 
 def test_drawn_errors_are_as_large_as_those_of_the_simulated_detector(body: Body) -> None:

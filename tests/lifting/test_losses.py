@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from lifting.training import losses
-from lifting.training import losses as module
 from lifting.training.data import Batch
 from lifting.training.losses import Validation
 from lifting.windows import Estimate, rotations
@@ -188,27 +187,6 @@ def test_kinds_with_sensors_need_a_body_with_sensors(validation: Validation) -> 
     assert set(bare.batches) == ALWAYS
 
 
-def test_windows_are_reproducible_and_share_the_motion_between_kinds(validation: Validation) -> None:
-    again = Validation(support.tiny_corpus(frames=60), 27, CPU, count=40)
-    for kind, batch in validation.batches.items():
-        assert torch.equal(batch.windows.rays_world, again.batches[kind].windows.rays_world), kind
-        assert torch.equal(batch.windows.axes_world, again.batches[kind].windows.axes_world), kind
-        assert torch.equal(batch.pose, validation.batches["realistic"].pose), kind
-
-    def rays(kind: str) -> Tensor:
-        return validation.batches[kind].windows.rays_world
-
-    assert torch.equal(rays("realistic"), rays("realistic, 8 sensors"))
-
-
 def test_without_validation_subjects_there_are_no_errors() -> None:
     empty = Validation(support.tiny_corpus(clips=2, frames=40), 27, CPU, count=8)
     assert empty.measure(support.untrained_lifter().network) == {}
-
-
-def test_a_network_is_measured_with_its_own_windows(validation: Validation) -> None:
-    errors = validation.measure(support.untrained_lifter().network)
-    assert set(errors) == ALWAYS | SENSED
-    assert errors["realistic"] != errors["realistic, 8 sensors"]
-    assert all(np.isfinite(value) for kind in errors.values() for value in kind.values())
-    assert module.SEED == 20_000

@@ -27,7 +27,6 @@ from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, ViewError
-from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -118,18 +117,6 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
     sigma = np.tile([SIGMA_ACROSS * across, SIGMA_ALONG * along], (T, 21, 1))
     sigma[:, 0] *= np.linalg.norm(p[:, 0], axis=-1)[:, None]
     np.testing.assert_allclose(poses.sigma_m, sigma, rtol=1e-4)
-
-
-def test_outputs_are_read_only_rotations_with_positive_sigmas(lifted: LiftedPoses) -> None:
-    assert so3.is_rotation(lifted.R_world_bone)
-    assert (lifted.sigma_m > 0).all()
-    assert (lifted.sigma_rad > 0).all()
-    for values in (*arrays(lifted), lifted.seen):
-        assert values.dtype in (np.float64, np.bool_)
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1.0
-    with pytest.raises(ShapeError, match="sigma_rad"):
-        replace(lifted, sigma_rad=np.ones((T, 2)))
 
 
 # --- invariances ---------------------------------------------------------------------------------
@@ -267,19 +254,6 @@ def test_a_causal_lifter_ignores_later_frames(causal: bool) -> None:
             assert causal or change[8:].min() > 1e-7
 
 
-def test_a_causal_lifter_reads_the_frame_and_its_window_before_at_any_rate() -> None:
-    lifter = support.untrained_lifter(causal=True)
-    uv = np.array(KEYPOINTS.uv_px)
-    uv[5] += np.random.default_rng(0).normal(scale=30.0, size=(21, 2))
-    one, other = (lifter.predict(k, OFFSETS).p_world_joint for k in (KEYPOINTS, replace(KEYPOINTS, uv_px=uv)))
-    assert np.flatnonzero(np.abs(other - one).max(axis=(1, 2)) > 1e-7).tolist() == list(range(5, 5 + 27))
-    at_50 = support.seen_by(CAMERA, P, 50.0)
-    whole = lifter.predict(at_50, OFFSETS).p_world_joint
-    for length in (1, 17, 30):
-        part = lifter.predict(at_50[:length], OFFSETS).p_world_joint
-        np.testing.assert_allclose(part, whole[:length], atol=1e-5)
-
-
 # --- missing observations ------------------------------------------------------------------------
 
 
@@ -298,14 +272,6 @@ def test_gaps_are_interpolated_ends_repeated_and_both_marked(lifter: Lifter, fra
     share = np.linspace(0, 1, last - first + 3)[:, None, None]
     expected = (1 - share) * p[first - 1] + share * after
     np.testing.assert_allclose(p[first : last + 1], expected[1:-1], atol=1e-9)
-
-
-def test_joints_without_a_landmark_are_unseen(lifter: Lifter) -> None:
-    coco = [n for n in KEYPOINTS.names if n.endswith(("Arm", "Hand", "Leg", "Foot", "Head"))]
-    result = lifter.predict(KEYPOINTS.select(coco), OFFSETS)
-    assert result.seen.all()
-    masked = hidden(KEYPOINTS, slice(None), [n not in coco for n in KEYPOINTS.names])
-    assert_same(result, lifter.predict(masked, OFFSETS), 1e-9)
 
 
 @settings(max_examples=12, deadline=None)
@@ -425,14 +391,6 @@ def test_a_lifter_has_the_hash_of_its_file(lifter: Lifter, tmp_path: Path) -> No
     assert lifter.sha256 == ""
     with pytest.raises(FileFormatError, match="no such file; .*detections, perfect"):
         Lifter.load(tmp_path / "none.pt")
-
-
-@pytest.mark.parametrize("name", list(LIFTERS))
-def test_shipped_lifters_are_loaded_by_name(name: str) -> None:
-    lifter = Lifter.load(name)
-    assert not lifter.description.network.causal
-    assert (lifter.description.recipe["augment"]["noise"]["clean"] == 1.0) == (name == "perfect")
-    assert lifter.sha256 == Lifter.load(model_path(LIFTERS[name])).sha256
 
 
 def recording_of_17(frames: int = 60) -> Recording:

@@ -17,12 +17,11 @@ from lifting.checkpoint import load_checkpoint
 from lifting.predict import Lifter
 from lifting.training import train as curves
 from lifting.training.corpus import Corpus
-from lifting.training.data import MotionBank, plain
-from lifting.training.run import Prefetch, rows, step_seed
+from lifting.training.data import plain
+from lifting.training.run import Prefetch
 from lifting.training.settings import TrainConfig
 from lifting.training.train import train
 from rtof_kin import cli
-from rtof_kin.cli import training
 from rtof_kin.core.errors import FileFormatError
 
 QUICK = TrainConfig(
@@ -194,21 +193,6 @@ def test_the_command_trains_with_every_option(
     assert "none.pt: no such file" in capsys.readouterr().err
 
 
-def test_the_command_trains_for_45_minutes_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[TrainConfig] = []
-
-    def pretend(config: TrainConfig, corpus: object, out: str, *others: object) -> Path:
-        asked.append(config)
-        return Path(out)
-
-    monkeypatch.setattr("lifting.training.train.train", pretend)
-    for options in ([], ["--minutes", "3"], ["--windows", "8"], ["--windows", "8", "--minutes", "3"]):
-        assert cli.main(["train", "corpus.npz", *options]) == 0
-    budgets = [(config.windows, config.minutes) for config in asked]
-    assert budgets == [(None, 45.0), (None, 3.0), (8, None), (8, 3.0)]
-    assert training.DEFAULT_MINUTES == 45.0
-
-
 def test_an_interrupted_command_names_the_state_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,34 +206,7 @@ def test_an_interrupted_command_names_the_state_file(
     assert "x.pt.state" in message
 
 
-@pytest.mark.parametrize("ahead", [True, False])
-def test_results_are_those_of_their_steps_in_any_order(ahead: bool) -> None:
-    made: list[int] = []
-
-    def square(step: int) -> int:
-        made.append(step)
-        return step * step
-
-    with Prefetch(square, ahead) as prefetch:
-        assert [prefetch(step) for step in (0, 1, 2, 7, 8, 3)] == [0, 1, 4, 49, 64, 9]
-    assert made[:8] == ([0, 1, 2, 3, 7, 8, 9, 3] if ahead else [0, 1, 2, 7, 8, 3])
-
-
 def test_an_error_of_the_second_thread_reaches_the_caller_and_the_thread_ends() -> None:
     with pytest.raises(ZeroDivisionError), Prefetch(lambda step: 1 // step, ahead=True) as prefetch:
         prefetch(0)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
-
-
-def test_every_step_and_part_has_its_own_seed() -> None:
-    seeds = {step_seed(s, t, r) % 2**32 for s in range(3) for t in range(2000) for r in range(4)}
-    assert len(seeds) == 3 * 2000 * 4
-
-
-def test_rows_are_selected_in_nested_dataclasses() -> None:
-    bank = MotionBank(support.tiny_corpus(frames=30), [0], torch.device("cpu"))
-    batch = bank.draw(6, 9, plain(), torch.Generator().manual_seed(0))
-    some = rows(batch, slice(1, None, 2))
-    assert len(some.root) == len(some.windows.rays_world) == len(some.windows.picture.xy) == 3
-    assert torch.equal(some.windows.bones[2], batch.windows.bones[5])
-    assert some.windows.estimated == batch.windows.estimated

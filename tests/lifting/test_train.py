@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,9 @@ from lifting.predict import Lifter
 from lifting.training.corpus import Corpus
 from lifting.training.data import plain
 from lifting.training.noise import SensorConfig
-from lifting.training.run import first_answer, shipped_skeleton
+from lifting.training.run import shipped_skeleton
 from lifting.training.settings import TrainConfig, motions_of, postures_of, prior_of_corpus
 from lifting.training.train import train
-from lifting.windows import decode, encode, rotations
 from rtof_kin.body import kinematics
 from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.pose_prior import shipped_prior
@@ -93,29 +91,6 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
     error = lifted.p_world_joint - p
     assert np.linalg.norm(error - error[:, :1], axis=-1).mean() < 0.08
     assert np.linalg.norm(error, axis=-1).mean() < 0.25
-
-
-def test_the_first_output_is_upright_at_a_usual_distance() -> None:
-    for table in (support.TABLE, support.TABLE_17):
-        body = support.tiny_corpus(table=table).body()
-        scene, _ = support.scene_of(range(2), 27, table)
-        encoded = encode(body, support.windows_of(body, scene))
-        start = decode(body, first_answer(body).double().expand(2, -1), encoded)
-        np.testing.assert_allclose(start.root.norm(dim=1) * encoded.scale, 0.4, rtol=1e-6)
-        assert start.pose.abs().max() == 0
-        if body.sensors:
-            assert start.axes is not None
-            R = rotations(start.axes).permute(0, 3, 1, 2)
-            expected = encoded.R_ray_world.transpose(1, 2)[:, None].expand(R.shape)
-            torch.testing.assert_close(R, expected)
-
-
-def test_drawing_ahead_in_a_second_thread_changes_nothing(corpus: Corpus, tmp_path: Path) -> None:
-    config = replace(QUICK, windows=320, dropout=0.2, threads=1)
-    first = train(config, corpus, tmp_path / "1.pt")
-    second = train(replace(config, threads=2), corpus, tmp_path / "2.pt")
-    assert same(first, second)
-    assert not [t for t in threading.enumerate() if t.name.startswith("windows")]
 
 
 def test_a_lifter_of_17_joints_at_50_hz_is_described(tmp_path: Path) -> None:

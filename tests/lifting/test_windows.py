@@ -152,16 +152,6 @@ def test_the_mirrored_scene_has_mirrored_features_and_output(body: Body, scene: 
         torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
 
 
-@pytest.mark.parametrize("at", [W // 2, W - 1, 4])
-def test_the_view_axis_is_the_ray_to_the_root(body: Body, scene: Tensor, at: int) -> None:
-    encoded = encode(body, windows_of(body, scene, estimated=at))
-    on_axis = torch.einsum("bij,bj->bi", encoded.R_view_world, scene[:, :, at, 0])
-    assert on_axis[:, :2].abs().max() < 1e-9
-    assert torch.all(on_axis[:, 2] > 0)
-    assert encoded.features[:, at, [0, 21]].abs().max() < 1e-6
-    assert encoded.features[:, 20 if at == 4 else 4, [0, 21]].abs().max() > 1e-3
-
-
 def test_hips_replace_an_unseen_root(body: Body, scene: Tensor) -> None:
     seen = everything(scene)
     seen[:, :, 0] = False
@@ -170,17 +160,6 @@ def test_hips_replace_an_unseen_root(body: Body, scene: Tensor) -> None:
     mean = unit[:, :, W // 2, body.hips].mean(dim=2)
     axis = torch.nn.functional.normalize(mean, dim=1)
     torch.testing.assert_close(encoded.R_view_world[:, 2], axis)
-
-
-@pytest.mark.parametrize(("at", "nearest"), [(W // 2, 9), (W - 1, 17), (11, 9)])
-def test_the_nearest_frame_replaces_an_unseen_one(body: Body, scene: Tensor, at: int, nearest: int) -> None:
-    seen = everything(scene)
-    seen[:, 10:17] = False  # 9 is nearer to 13 than 17 by nothing: the first of equals
-    if at == W - 1:
-        seen[:, 18:] = False
-    encoded = encode(body, windows_of(body, scene, seen=seen, estimated=at))
-    root = torch.nn.functional.normalize(scene[:, :, nearest, 0], dim=1)
-    torch.testing.assert_close(encoded.R_view_world[:, 2], root)
 
 
 def test_a_foot_on_the_floor_gives_its_distance(body: Body, scene: Tensor) -> None:
@@ -194,26 +173,6 @@ def test_a_foot_on_the_floor_gives_its_distance(body: Body, scene: Tensor) -> No
 
 
 # --- what is not there ---------------------------------------------------------------------------
-
-
-def test_unseen_rays_are_ignored(body: Body, scene: Tensor) -> None:
-    seen = everything(scene)
-    seen[:, :, 10] = False
-    seen[:, 20:] = False
-    expected = encode(body, windows_of(body, scene, seen=seen))
-    changed = torch.where(seen[:, None], scene, 7.0)
-    assert_same_input(encode(body, windows_of(body, changed, seen=seen)), expected)
-
-
-def test_axes_are_features_in_the_ray_frame(body: Body, scene: Tensor, axes: Tensor) -> None:
-    sensed = torch.ones((3, W, 13), dtype=torch.bool)
-    sensed[1, 4, 7] = False
-    encoded = encode(body, windows_of(body, scene, axes, sensed=sensed))
-    read = encoded.features[..., 67:-13].reshape(3, W, 3, 2, 13)
-    carried = axes[..., body.sensor_joints]
-    expected = torch.einsum("bij,bjwas->bwias", encoded.R_ray_world, carried)
-    expected[1, 4, :, :, 7] = 0.0
-    torch.testing.assert_close(read, expected)
 
 
 def test_unknown_bones_and_height_are_zeros_with_a_flag(body: Body, scene: Tensor) -> None:

@@ -14,7 +14,6 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import MOVEMENTS, movement
 
@@ -110,14 +109,6 @@ def test_walking_is_recognised(name: str, who: str) -> None:
     assert 50 < swing.max() < 120
 
 
-def test_gait_begins_at_the_origin_facing_x_and_walks_out_and_back() -> None:
-    p = poses_of("gait", "adult").p_world_joint[:, 0]
-    assert np.linalg.norm(p[0, :2]) < 0.1
-    assert np.linalg.norm(p[-1, :2] - p[0, :2]) < 0.05
-    assert 3.0 < p[:, 0].max() < 6.0
-    assert p[60:160, 0].min() > -0.1
-
-
 def test_ranges_are_those_of_the_exercises() -> None:
     def largest(name: str, angle: str) -> float:
         angles = clinical_angles(all_observed(poses_of(name, "adult")), body("adult"))
@@ -129,17 +120,6 @@ def test_ranges_are_those_of_the_exercises() -> None:
     assert largest("calibration", "left_knee_flexion") > 45
 
 
-def test_the_rate_changes_the_sampling_and_not_the_motion() -> None:
-    slow, fast = (movement("squat", body("adult"), 1, rate) for rate in (50.0, 200.0))
-    assert len(fast) >= 4 * len(slow) - 4
-    assert np.abs(fast.p_world_joint[::4][: len(slow)] - slow.p_world_joint).max() < 1e-9
-
-
-def test_each_repetition_adds_its_time() -> None:
-    times = [movement("lunge", body("adult"), count).times[-1] for count in (1, 2, 3)]
-    assert times[2] - times[1] == pytest.approx(times[1] - times[0], abs=0.04)
-
-
 def test_an_impossible_request_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="squat"):
         movement("squats", body("adult"))
@@ -149,13 +129,3 @@ def test_an_impossible_request_is_refused() -> None:
         movement("squat", body("adult"), rate_hz=1.0)
     with pytest.raises(UnknownNameError, match="Hips"):
         movement("squat", SkeletonModel.human36m())
-
-
-def test_all_files_together_are_small_and_every_movement_is_described() -> None:
-    files = list(model_path("movements").glob("*.npz"))
-    assert {file.stem for file in files} == {*MOVEMENTS, "sway"}
-    assert sum(file.stat().st_size for file in files) < 300_000
-    for info in MOVEMENTS.values():
-        assert info.description.endswith(".")
-        assert info.sources
-        assert "mocap.cs.cmu.edu" in info.acknowledgement

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.plan.protocol import CameraPlace, Protocol, centre_of, direction, facing_of, place_of
+from rtof_kin.plan.protocol import CameraPlace, Protocol, centre_of, facing_of, place_of
 from rtof_kin.plan.setup import Setup
 
 WHOLE = """
@@ -104,10 +104,3 @@ def test_a_camera_stands_where_its_place_says(setup: Setup, angle_deg: float) ->
     assert (found.angle_deg + 360) % 360 == pytest.approx((angle_deg + 360) % 360, abs=0.1)
     assert (found.distance_m, found.height_m) == (3.5, 1.4)
     assert found.focal_px == pytest.approx(place.focal_px)
-
-
-def test_directions_in_words() -> None:
-    assert direction(0).startswith("in front of")
-    assert direction(90).startswith("to the left")
-    assert direction(-50).startswith("in front to the right")
-    assert direction(175).startswith("behind the person")

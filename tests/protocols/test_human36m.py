@@ -19,7 +19,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
-from rtof_kin.protocols import measures, published, run
+from rtof_kin.protocols import published, run
 from rtof_kin.protocols.human36m import Human36MProtocol, all_tables
 from rtof_kin.protocols.tables import STILL, Table
 
@@ -177,19 +177,3 @@ def test_bad_input_writes_nothing(
     with pytest.raises(RtofError, match=re.escape(message)):
         run("human36m", about.pop("root"), tmp_path / "out", **about)
     assert not list(tmp_path.iterdir())
-
-
-def test_input_that_fails_in_every_measurement_is_a_problem(
-    root: Path, lifter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(measures, "figures", lambda *about: [])
-    made = untrained_lifter(rate_hz=50.0)
-    save_checkpoint(tmp_path / "21.pt", made.network, made.description)
-    usual = {"modes": ("lift",), "workers": 1}
-    for name, own, expected in (
-        ("0", {"lifter": lifter, "keypoints": "hrnet"}, "unknown keypoints"),
-        ("1", {"lifter": tmp_path / "21.pt"}, "joint"),
-    ):
-        problem = run("human36m", root, tmp_path / name, **usual, **own).problem
-        assert problem.startswith("nothing could be measured; first of all: ")
-        assert expected in problem

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from protocol_support import cells_of, read_json, row
+from protocol_support import read_json, row
 
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
-from rtof_kin.protocols.measures import error_curves
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled, write_results
 from rtof_kin.protocols.total_capture import TotalCaptureProtocol, all_tables
 from rtof_kin.reporting.document import Document
@@ -114,18 +113,6 @@ PLAIN = Table(
 )
 
 
-def test_markdown_has_every_cell_rounded_in_its_column() -> None:
-    text = PLAIN.markdown()
-    assert cells_of(text) == [
-        ["method", "error [mm]", "share"],
-        ["a | b", "12.3", "50 %"],
-        ["two lines", "-", "-"],
-        ["", "-", "0.00"],
-    ]
-    assert text.startswith("### A title\n\n|")
-    assert text.endswith("|\n\n- First.\n- Second [mm].\n")
-
-
 def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: Path) -> None:
     asked = tmp_path / "deep" / "all.json"
     facts = {"settings": {"seed": 3}, "tables": {"plain": PLAIN.as_dict()}}
@@ -198,47 +185,6 @@ def test_the_ablation_has_the_papers_figures_and_the_calibration_rows() -> None:
     assert row(inertial, "DIP (6 IMUs)")["MPJJE [m/s3]"] == 159.1
 
 
-def test_the_multi_view_table_has_its_own_cameras_and_frames() -> None:
-    done = measured("S1", "walking2", 1, lift=scores(0, 1000, sixteen_mm=10, sixteen_frames=1))
-    done |= measured("S1", "walking2", 3, lift=scores(0, 10, sixteen_mm=40, sixteen_frames=2))
-    done |= measured("S1", "walking2", 4, lift=scores(0, 10, sixteen_mm=999, sixteen_frames=9))
-    table = tables_of(protocol(cameras=(1, 3, 4), modes=("lift",)), done)["sixteen_joints"]
-    ours = row(table, "lift, ours, each camera alone")
-    assert ours["absolute MPJPE [mm]"] == pytest.approx(30)
-    assert "cameras 1, 3 of 1, 3, 5, 7" in table.notes[0]
-    assert not any("VP3D" in str(cells[0]) for cells in table.rows)
-
-
-def test_the_study_of_fragment_length_has_speeds() -> None:
-    methods = {"as printed, N = 50": scores(5.0, 100, seconds=2.0), "as printed, N = 20": scores(6.0, 100, seconds=0.5)}
-    done = measured("S1", "walking2", 1, rtof=scores(), **methods)
-    done |= measured("S1", "walking2", 3, rtof=scores(), **{"as printed, N = 50": scores(8.0, 200, seconds=1.0)})
-    tables = tables_of(protocol(modes=("rtof",), studies=True), done)
-    fifty = row(tables["fragment_length"], "50")
-    assert fifty["frames/s"] == pytest.approx(300 / 3.0)
-    assert fifty["root-relative [mm]"] == pytest.approx(7.0)
-    assert (fifty["paper: frames/s"], fifty["paper: MPJJE"]) == (743, 63.84)
-    assert row(tables["fragment_length"], "200")["frames/s"] is None
-    assert [cells[0] for cells in tables["fragment_length"].rows] == ["200", "100", "50", "20"]
-
-
-def test_the_setup_is_described_under_the_table(tmp_path: Path) -> None:
-    own = tmp_path / "own.pt"
-    own.touch()
-    exact = tables_of(protocol(lifter=own), complete())
-    assert "one camera at a time (1, 3), pooled over all 200 frames" in exact["by_take"].notes[0]
-    assert "Lifter: own.pt." in exact["by_take"].notes[0]
-    assert set(exact) == {"by_take", "inertial_only", "ablation", "sixteen_joints"}
-    assert not any("this run has not" in note for note in exact["ablation"].notes)
-    noisy = tables_of(protocol(noise_px=4.5, sensors=("Pelvis",)), complete())
-    assert "ground-truth 2D with 4.5 px of white noise per axis" in noisy["by_take"].notes[0]
-    assert "1 IMUs where" in noisy["by_take"].notes[0]
-    assert any("this run has not" in note for note in noisy["ablation"].notes)
-    with_studies = tables_of(protocol(studies=True), complete())
-    for name in ("by_take", "inertial_only", "ablation", "fragment_length", "visual_weight"):
-        assert set(published.TOTAL_CAPTURE_CAVEATS) <= set(with_studies[name].notes)
-
-
 WHY = "gt_skel_gbl_pos.txt is damaged"
 WALK = "S1 walking2"
 
@@ -280,46 +226,3 @@ def test_missing_results_are_named_under_every_table(
     for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
         assert [note for note in tables[name].notes if note.startswith("INCOMPLETE")] == expected
     assert (tables["state_of_data"].rows if "state_of_data" in tables else ()) == state
-
-
-def test_failed_checks_and_notes_are_listed() -> None:
-    done = complete()
-    done["S1_walking2"]["notes"] = ["no positions: taken from a BVH file"]
-    done["S1_walking2"]["failed_checks"] = ["sensor L_Foot: 20 deg"]
-    done["S1_walking2_cam3"]["failed_checks"] = ["camera 3: 25 px"]
-    assert tables_of(protocol(), done)["state_of_data"].rows == (
-        ("S1 walking2", "check failed", "sensor L_Foot: 20 deg"),
-        ("S1 walking2", "note", "no positions: taken from a BVH file"),
-        ("S1 walking2 camera 3", "check failed", "camera 3: 25 px"),
-    )
-
-
-def test_all_tables_can_be_written_where_nothing_was_measured() -> None:
-    failed = dict.fromkeys(protocol().jobs(), "no calibration.cal | none\nat all")
-    for table in tables_of(protocol(studies=True), {}, failed).values():
-        assert len(cells_of(table.markdown())) == 1 + len(table.rows)
-
-
-def outcome_with(folder: Path, takes: dict[str, float], modes: Sequence[str]) -> Outcome:
-    """Takes of S1 by their amount of motion, with error curves of camera 1."""
-    done: dict[str, Any] = {}
-    for take, lively in takes.items():
-        done |= measured("S1", take, None, **{STILL: scores(mpjae=lively)})
-        done |= measured("S1", take, 1, **{mode: scores() for mode in modes})
-        curves = {f"{mode}_{name}": np.full(60, 20.0) for mode in modes for name in ("rr_mm", "knee_deg")}
-        np.savez(folder / f"S1_{take}_cam1.npz", **curves)  # type: ignore[arg-type]
-    return Outcome(folder, done, {})
-
-
-@pytest.mark.parametrize(
-    ("modes", "shown"),
-    [
-        (("lift", "rto", "sf2", "rtof"), ["baseline (lift): mean 20.0", "rtof: mean 20.0"]),
-        (("lift", "sf2", "rto"), ["baseline (lift): mean 20.0", "rto: mean 20.0"]),
-        (("sf2",), ["sf2: mean 20.0"]),
-    ],
-)
-def test_curves_of_baseline_and_best(modes: tuple[str, ...], shown: list[str], tmp_path: Path) -> None:
-    outcome = outcome_with(tmp_path, {"walking2": 1.0}, modes)
-    axes = error_curves(outcome, ["S1_walking2_cam1"], 60.0).axes
-    assert [[line.get_label() for line in ax.get_lines()] for ax in axes] == [shown, shown]

@@ -306,19 +306,6 @@ def test_a_take_without_sensors_has_the_modes_that_need_none(tmp_path: Path) -> 
     assert (tmp_path / "out/runs/S5_acting3_cam1.json").stat().st_mtime_ns == before
 
 
-@pytest.mark.usefixtures("unpictured")
-def test_without_cameras_nothing_is_measured(tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    tc.dataset(data, WALKING)["cameras"].unlink()
-    settings = {"subjects": ("S1",), "takes": ("walking2",), "cameras": (1,), "studies": False, "modes": ("lift",)}
-    found = run("total-capture", data, tmp_path / "out", workers=1, **settings)
-    assert found.problem.startswith("nothing could be measured; first of all: ")
-    assert "calibration.cal" in found.problem
-    tables = read_json(tmp_path / "out" / "tables.json")["tables"]
-    assert tables["inertial_only"]["rows"][-1][0] == LOW_PASSED
-    assert tables["inertial_only"]["rows"][-1][1] is not None  # for that no camera is needed
-
-
 def test_a_glitch_of_the_reference_does_not_affect_the_low_passed_row(tmp_path: Path) -> None:
     """Frames 655 to 659 of S4 acting3 are one; a filter would smear it over the frames beside."""
     take = tc.take("S4", "acting3", frames=690)
@@ -387,26 +374,6 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
     written = read_json(tmp_path / "all.json")["settings"]
     assert written["lifter_sha256"] == hashlib.sha256(model_path("lifter_perfect.pt").read_bytes()).hexdigest()
     assert written["layout"] == "auto"
-
-
-def test_space_and_calibration_are_passed_to_the_reconstruction(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = []
-
-    def reconstructions(recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool) -> dict[str, Any]:
-        given.append((type(settings.fragment), calibrate))
-        return {}
-
-    monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
-    about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    for space, calibrate, text in (("joint", True, "each take itself"), ("cartesian", False, "files have it")):
-        chosen = replace(about, space=space, calibrate=calibrate)
-        outcome = chosen.run(tmp_path / space, workers=1)
-        note = tables_of(chosen, outcome)["by_take"].notes[0]
-        assert f"solved in {space} space" in note
-        assert text in note
-    assert given == [(type(None), True), (CartesianSettings, False)]  # None: settings of joint space
 
 
 # --- studies -------------------------------------------------------------------------------------

@@ -22,9 +22,8 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.movi import CENTRES
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.protocols import SETS, Measured, run, validation
-from rtof_kin.protocols.angles import against_opensim, against_recording, angle_document, published_table
-from rtof_kin.protocols.published import PUBLISHED
+from rtof_kin.protocols import Measured, run, validation
+from rtof_kin.protocols.angles import against_opensim, against_recording
 from rtof_kin.protocols.tables import write_results
 from rtof_kin.protocols.validation import ValidationProtocol, compared_with, first_line
 from rtof_kin.vision.detections import Detections
@@ -80,50 +79,6 @@ def test_without_a_common_angle_the_take_says_so(tmp_path: Path) -> None:
     other = replace(truth, coordinates=("wrist_flex_r",))
     with pytest.raises(InvalidInputError, match="none of the measured coordinates, wrist_flex_r"):
         compared_with(estimate, other, take)
-
-
-# --- tables ---------------------------------------------------------------------------------------
-
-
-def test_published_values_stand_beside_the_same_metric() -> None:
-    degrees = np.radians(np.array([1.0, 2.0, 3.0, 10.0]))
-    rows = error_rows([AngleDifferences("left_knee_flexion", "walk", "t", degrees)], MOVEMENTS)
-    table = published_table(rows)
-    own = {(cells[0], cells[1]): cells[2] for cells in table.rows}
-    assert own["knee flexion", "median absolute error"] == pytest.approx(2.5)
-    assert own["all angles", "mean absolute error"] == pytest.approx(4.0)
-    assert own["all angles", "RMSE"] == pytest.approx(np.sqrt(114 / 4))
-    assert own["elbow flexion", "median absolute error"] is None  # not measured here
-    assert {one.metric for one in PUBLISHED} == {"rmse", "mae", "median"}
-    assert all("arXiv" in one.source or "not verified" in one.source for one in PUBLISHED)
-
-
-def test_the_files_hold_the_same_numbers(tmp_path: Path) -> None:
-    degrees = np.radians(np.array([1.0, 2.0, 3.0, 10.0]))
-    found = AngleDifferences("left_knee_flexion", "walk", "t<1>", degrees, np.radians(np.full(4, 2.0)))
-    rows = error_rows([found], MOVEMENTS)
-    write_results(angle_document(rows, "Joint angles <here>", "first & foremost"), tmp_path)
-    with (tmp_path / "angle_errors.csv").open(encoding="utf-8") as stream:
-        (knee,) = [one for one in csv.DictReader(stream) if (one["angle"], one["movement"]) == ("knee_flexion", ALL)]
-    assert float(knee["median_deg"]) == pytest.approx(2.5)
-    assert float(knee["within_95_share"]) == 0.75  # 10 degrees are beyond 1.96 of 2
-    content = read_json(tmp_path / "tables.json")
-    assert content["rows"][0]["mae_deg"] == pytest.approx(4.0)
-    assert content["headline"] == "first & foremost"
-    assert (tmp_path / "tables.md").read_text().startswith("first & foremost\n")
-    page = (tmp_path / "tables.html").read_text()
-    assert "first &amp; foremost" in page
-    assert "Joint angles &lt;here&gt;" in page
-    assert "data:image/png;base64," in page
-
-
-def test_sensors_that_made_the_reference_are_said_first() -> None:
-    facts = {"of_sensors": True, "kind": "walk", "clock": {"how": "as recorded"}}
-    found = Outcome(Path(), {"a": facts}, {})
-    line = first_line(ValidationProtocol(Path(), "vidimu", mode="rtof"), found)
-    assert "NOT ACCURACY" in line
-    assert "use --mode rto" in line
-    assert "NOT" not in first_line(ValidationProtocol(Path(), "vidimu"), found)
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -228,15 +183,6 @@ def test_nothing_measured_is_a_problem(sets: Path, tmp_path: Path) -> None:
 def test_wrong_settings_are_refused(changes: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         ValidationProtocol(**({"root": Path(), "dataset": "opencap"} | changes))
-
-
-def test_every_set_exists() -> None:
-    for name in SETS:
-        settings = {"lifter": Path("perfect")} if name == "human36m" else {}
-        with pytest.raises(FileFormatError, match=r"/nowhere"):
-            run(name, Path("/nowhere"), Path("/nowhere/out"), **settings)
-    with pytest.raises(UnknownNameError, match="data set 'kit'"):
-        run("kit", Path(), Path())
 
 
 def test_gaitex_recovers_the_planted_knees_from_orientations_alone(tmp_path: Path) -> None:

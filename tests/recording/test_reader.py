@@ -204,12 +204,6 @@ def test_the_time_axis_is_that_of_the_whole(both: tuple[Recording, RecordingRead
     assert (reader.frame_times is None) == (whole.keypoints is None)
 
 
-def test_random_access_goes_back_and_forth(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    for start in (8.0, 0.5, 7.5, 3.0, 3.5):
-        assert_same(reader.between(start, start + 1), whole.between(start, start + 1))
-
-
 # --- borders and streams that are missing --------------------------------------------------------
 
 
@@ -272,18 +266,6 @@ def test_errors_are_those_of_loading(
     else:
         arrays[array][rows] = value(arrays[array])
     np.savez(folder / file, **arrays)
-    same_error(folder)
-
-
-def test_clocks_and_damaged_files_raise_as_in_loading(tmp_path: Path) -> None:
-    folder = tmp_path / "recording"
-    demo().save(folder)
-    with changed(folder) as index:
-        index["imus"]["start_s"] = 1000.0
-    same_error(folder)
-    (folder / "imus.npz").write_bytes((folder / "imus.npz").read_bytes()[:-500])
-    same_error(folder)
-    (folder / "imus.npz").unlink()
     same_error(folder)
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import pickle
 import textwrap
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -361,56 +359,17 @@ def test_fields_that_contradict_each_other_are_refused(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("schema_version = 1", "", "schema_version: missing"),
-        ("schema_version = 1", "schema_version = 2", "schema_version: 2 is not 1"),
-        (
-            "width_px = 1920",
-            "widht_px = 1920",
-            r"recording\.toml, line \d+, \[camera\] 'widht_px'\. Did you mean 'width_px'",
-        ),
-        (
-            "focal_px = 1250.0",
-            "focal_px = 4.2",
-            r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px",
-        ),
+        ("focal_px = 1250.0", "focal_px = 4.2", r"\[camera\] focal_px: .* is it in mm\? Give px"),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", "target_m: straight above, below"),
-        ('sex = "male"', 'sex = "m"', "'m' is not one of female, male"),
         ("keypoints.npz", "points.npz", r"there is no file .*points\.npz"),
-        ("keypoints.npz", "../keypoints.npz", "leads out of the folder"),
         ("rate_hz = 60.0\n", "", r"\[keypoints\] rate_hz: missing, and .* no times"),
         ('layout = "joints"', "", "landmarks: missing; list the names"),
-        ('layout = "joints"', 'layout = "coco"', "'coco' is not one of joints, auto, .*Did you mean 'coco"),
-        ('"joints"', '"joints"\nlandmarks = []', "layout: stands beside landmarks"),
-        (
-            'layout = "joints"',
-            f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}",
-            r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'",
-        ),
         ('layout = "joints"', 'landmarks = ["Hips"]', "1 names, but .* 21 points"),
-        (
-            'joint = "RightLeg"',
-            'joint = "RightLag"',
-            r"recording\.toml, line \d+, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'",
-        ),
-        ("lever_arm_m = [0.05, 0.0, -0.16]", "", "lever_arm_m: missing; add 3"),
-        (
-            "[0.5, 0.5, 0.5, 0.5]",
-            "[0.5, 0.5, 0.5, 0.4]",
-            r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95",
-        ),
-        ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]', "'belt'"),
-        (
-            "[imus.sensors.L_UpArm]",
-            'names = ["strap"]\n[imus.sensors.L_UpArm]',
-            r"names: 1 sensors are named, but .* has 2",
-        ),
-        ("[camera]", "[skeleton]\ntable = 'smpl'\n[camera]", "'smpl' is not one of .*human36m"),
+        ("RightLeg", "RightLag", r"line \d+, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
+        ("[0.5, 0.5, 0.5, 0.5]", "[0.5, 0.5, 0.5, 0.4]", r"\[imus\.sensors\.L_UpArm\] .*: has norm 0\.95"),
+        ("[imus.sensors.L_UpArm]", 'names = ["strap"]\n[imus.sensors.L_UpArm]', "1 sensors are named, but .* has 2"),
         ("[camera]", "[skeleton]\nbone_lengths_m = {Elbow = 1}\n[camera]", r"bone_lengths_m 'Elbow'"),
-        (
-            "[camera]",
-            "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]",
-            r"\[skeleton\.joint_offsets_m\] Spine1: missing",
-        ),
+        ("[camera]", "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]", "Spine1: missing"),
     ],
 )
 def test_a_wrong_line_raises_with_file_field_and_remedy(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -447,7 +406,6 @@ def with_value(array: np.ndarray, index: object, value: object) -> np.ndarray:
 
 UV = keypoint_arrays()["uv_px"]
 QUAT, FORCE = imu_arrays()["quat_wxyz"], imu_arrays()["f_sensor"]
-BACKWARDS = with_value(np.arange(T) / 60, 5, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -506,40 +464,6 @@ def test_quaternions_are_normalised_and_missing_ones_are_nan(tmp_path: Path) -> 
 
 
 # --- hostile folders: bytes ----------------------------------------------------------------------
-
-
-def npz_bytes(**members: bytes) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, content in members.items():
-            archive.writestr(f"{name}.npy", content)
-    return buffer.getvalue()
-
-
-def npy_bytes(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "damaged, or no NPZ archive"),
-        (b"time,Hips_u_px\n0,1\n", "damaged, or no NPZ archive"),
-        (npz_bytes(uv_px=b"hello"), "uv_px: not a NumPy array"),
-        (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
-        (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
-        (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, it has more bytes"),
-        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: has type <U1, not numbers"),
-        (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: has type object"),
-    ],
-)
-def test_an_archive_without_numbers_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
-    write(tmp_path)
-    (tmp_path / "keypoints.npz").write_bytes(content)
-    with pytest.raises(FileFormatError, match=message):
-        Recording.load(tmp_path)
 
 
 @pytest.mark.parametrize(

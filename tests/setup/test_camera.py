@@ -152,14 +152,6 @@ def test_turning_focal_length_and_tilt_are_found_from_nothing(filmed: tuple[Path
     assert np.degrees(np.arccos(found.motion.up_first @ up_first)) < 1.0
 
 
-def test_log_of_another_take_is_not_used(
-    filmed: tuple[Path, Array], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    found = rotation_of_video(filmed[0], PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv", seed=6))
-    assert found.motion.up_first is None
-    assert "is it the file of this video" in caplog.text
-
-
 def test_detect_writes_the_motion_and_what_to_declare(
     filmed: tuple[Path, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:

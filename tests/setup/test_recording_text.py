@@ -8,7 +8,7 @@ from datetime import date
 import pytest
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.setup.recording_text import Field, Origin, plain, recording_text, summaries
+from rtof_kin.setup.recording_text import Field, Origin, plain, recording_text
 
 TABLES = {
     "schema_version": Field(1),
@@ -28,26 +28,9 @@ def test_the_values_are_read_back_exactly() -> None:
     assert tomllib.loads(text) == plain(TABLES)
 
 
-def test_every_origin_is_in_a_comment_and_lines_are_short() -> None:
-    text = recording_text(TABLES, "Recording of walk.mp4")
-    lines = text.splitlines()
-    assert lines[0] == "# Recording of walk.mp4"
-    assert "height_m = 1.72  # given" in lines
-    assert '[imus.sensors."x.y"]' in lines
-    assert 'joint = "Hips"  # found' in lines
-    assert max(map(len, lines)) <= 100
-    above = lines.index("focal_px = 1480.25")
-    assert lines[above - 1].startswith("# many") or lines[above - 1].startswith("# ")
-    assert any(line.startswith("# assumed: a view of many") for line in lines)
-
-
 def test_a_comment_cannot_smuggle_a_value_in() -> None:
     tables = {"name": Field("a", Origin.FILE, "walk\nheight_m = 3.0\r\nx = 1 #.mp4")}
     assert tomllib.loads(recording_text(tables, "from walk.mp4")) == {"name": "a"}
-
-
-def test_the_summary_has_the_named_fields_of_all_tables_in_their_order() -> None:
-    assert list(summaries(TABLES)) == [(Origin.GIVEN, "1.72 m tall"), (Origin.ASSUMED, "the focal length")]
 
 
 def test_what_toml_has_no_words_for_is_refused() -> None:

@@ -15,13 +15,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import Covariance, detector_error_table
-from rtof_kin.simulation.detector_errors import (
-    DetectorErrors,
-    episodes,
-    ornstein_uhlenbeck,
-    self_occluded,
-    simulate_detections,
-)
+from rtof_kin.simulation.detector_errors import DetectorErrors, self_occluded, simulate_detections
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 Array = NDArray[np.float64]
@@ -92,14 +86,6 @@ def test_the_mirror_image_of_a_motion_gives_the_mirror_image_of_the_detections()
     assert np.abs(uv - found(NONE, POSES, camera)[0]).max() > 3, "the view matters"
 
 
-def test_parts_of_the_errors_add_up_and_the_seed_determines_them() -> None:
-    both = errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=3)
-    parts = errors_mm(replace(NONE, constant=1.0), seed=3) + errors_mm(replace(NONE, coloured=1.0), seed=3)
-    np.testing.assert_allclose(both, parts, atol=1e-6)
-    np.testing.assert_array_equal(both, errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=3))
-    assert not np.array_equal(both, errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=4))
-
-
 def dense(covariance: Covariance, index: int | tuple[()] = ()) -> Array:
     """Covariance (66, 66), mm2."""
     factor = covariance.factor[index].reshape(66, -1) * 1e3
@@ -120,13 +106,6 @@ def test_the_constant_errors_have_the_covariance_of_the_table() -> None:
 def coloured() -> Array:
     """Coloured errors (S, T, K, 2) of a person who stands and is seen from the front, mm."""
     return np.array([errors_mm(replace(NONE, coloured=1.0), seed=seed) for seed in range(32)])
-
-
-@pytest.mark.parametrize("name", ["left_hip", "nose", "right_shoulder"])
-def test_coloured_errors_have_the_size_of_the_table(coloured: Array, name: str) -> None:
-    k = point(name)
-    size = np.sqrt(np.diag(dense(TABLE.coloured, 0)).reshape(33, 2)[k]) * TABLE.kinds.amplitude["gain"][k]
-    np.testing.assert_allclose(np.sqrt((coloured[:, :, k] ** 2).mean(axis=(0, 1))), size, rtol=0.2)
 
 
 def windowed(lag: float) -> Array:
@@ -244,14 +223,3 @@ def test_a_realistic_recording_has_the_keypoints_of_a_detectors_file_and_the_cam
         POSES, SKELETON.joint_offsets, camera=camera, settings=replace(settings, landmarks=("Nose",)), seed=1
     )
     np.testing.assert_array_equal(few.keypoints.uv_px, recording.keypoints.select(["Nose"]).uv_px)
-
-
-def test_processes_and_episodes_have_their_memory_rate_and_duration() -> None:
-    rng = np.random.default_rng(0)
-    x = ornstein_uhlenbeck(rng, 4000, (50,), 20.0)
-    assert x[0].std() == pytest.approx(1, abs=0.25)
-    assert x.std() == pytest.approx(1, rel=0.05)
-    assert (x[20:] * x[:-20]).mean() == pytest.approx(np.exp(-1), abs=0.05)
-    runs = episodes(rng, np.full(600_000, 12.0), 60.0, 0.5, 0.3)
-    assert len(runs) == pytest.approx(12 * 600_000 / 3600, rel=0.1)
-    assert np.median([run.stop - run.start for run in runs]) == pytest.approx(30, abs=2)

@@ -17,6 +17,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import gait_support
 import human36m_files
 import numpy as np
 import planted
@@ -30,14 +31,17 @@ from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.resources import model_path
+from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.datasets.human36m import Human36M
 from rtof_kin.datasets.human36m_files import read_cameras as read_human36m_cameras
 from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.formats import total_capture
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_motion
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
+from rtof_kin.formats.gait_reference import read_gait_reference, write_gait_reference
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
 from rtof_kin.formats.opensim import read_opensim_table, write_mot
@@ -255,6 +259,7 @@ def _model(name: str) -> Callable[[], bytes]:
 
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
 CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
+TURNING = CameraMotion(np.arange(5) / 30, np.tile(np.eye(3), (5, 1, 1)))
 TC = functools.partial(functools.partial, total_capture_file)
 READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
@@ -281,6 +286,7 @@ READERS = (
     written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
     # --- cameras
     written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),
+    written("camera motion", "a.npz", lambda p: write_camera_motion(p, TURNING), read_camera_motion),
     given("OpenCV YAML", "a.yml", OPENCV, read_opencv_yaml),
     given(
         "OpenCV JSON",
@@ -341,6 +347,9 @@ READERS = (
     given("markers in pixels", "a_px.trc", PIXEL_TRC, read_detector_file),
     given("points in XDF", "a.xdf", _points_xdf, read_detector_file),
     # --- tables of this package
+    written(
+        "gait reference", "a.json", lambda p: write_gait_reference(p, gait_support.means_only()), read_gait_reference
+    ),
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
     given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),

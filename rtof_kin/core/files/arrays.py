@@ -35,10 +35,7 @@ _MOST_MEMBERS: Final = 10_000
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
-    """Check that an archive does not exhaust the memory.
-
-    Args:
-        limit: of their sizes, bytes.
+    """Check that an archive whose arrays have at most `limit` bytes does not exhaust the memory.
 
     Raises:
         FileFormatError: it is too large, or large and compressed beyond any recording.
@@ -50,11 +47,7 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
 
 
 def check_ratio(path: Path, full: int, packed: int) -> None:
-    """Raise `FileFormatError` for what is large and compressed beyond any recording.
-
-    Args:
-        full, packed: bytes of memory and of the file.
-    """
+    """Raise `FileFormatError` for what is large and compressed beyond any recording; sizes in bytes."""
     if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
         raise FileFormatError(path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened")
 
@@ -66,17 +59,14 @@ def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
         FileFormatError: an array twice, of which readers differ in the one they take; or too many.
     """
     members = archive.infolist()
-    _check_number(path, len(members))
+    number = len(members)
+    if number > _MOST_MEMBERS:
+        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
     found = {member.filename.removesuffix(".npy"): member for member in members}
     if len(found) < len(members):
         names = Counter(member.filename.removesuffix(".npy") for member in members)
         raise FileFormatError(path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened")
     return found
-
-
-def _check_number(path: Path, number: int) -> None:
-    if number > _MOST_MEMBERS:
-        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
 
 
 LARGEST_BYTES = 4 * 2**30
@@ -124,21 +114,13 @@ def read_npz_as_saved(
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an .npz file without reading them.
-
-    Raises:
-        FileFormatError: no such file, or not an archive.
-    """
+    """Return the names of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
     with _open_npz(path) as archive:
         return tuple(array_members(path, archive))
 
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays in an .npz file without reading them.
-
-    Raises:
-        FileFormatError: no such file, or not an archive of arrays.
-    """
+    """Return the shapes of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
     shapes = {}
     with _open_npz(path) as archive:
         for name, member in array_members(path, archive).items():
@@ -148,10 +130,8 @@ def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
 
 
 def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
-    """Yield an array of an .npz file as float64 by so many rows at a time; one in Fortran order as a whole.
-
-    Raises:
-        FileFormatError: see `read_npz`.
+    """Yield an array of an .npz file as float64 by so many rows at a time, one in Fortran order as a whole; errors as
+    `read_npz`.
     """
     with _open_npz(path) as archive:
         members = array_members(path, archive)
@@ -181,10 +161,7 @@ def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
-    """Return the array of an .npy file as float64.
-
-    Args:
-        limit: largest size, bytes.
+    """Return the array of an .npy file of at most `limit` bytes as float64.
 
     Raises:
         FileFormatError: see `read_npz`.
@@ -199,11 +176,7 @@ def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
 
 
 def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read the header of an .npy array: shape, whether in Fortran order, and type.
-
-    Raises:
-        ValueError: there is no array.
-    """
+    """Read the header of an .npy array: shape, whether in Fortran order, and type; ValueError without an array."""
     try:
         version = np.lib.format.read_magic(stream)
         reader: Any = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[
@@ -286,10 +259,8 @@ def read_csv(path: Path) -> dict[str, Array]:
 
 
 def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
-    """Yield the columns that `read_csv` returns by blocks of rows, at least one block.
-
-    Raises:
-        FileFormatError: see `read_csv`.
+    """Yield the columns that `read_csv` returns by blocks of rows, at least one block; errors are those of
+    `read_csv`.
     """
     try:
         check_file(path, _CSV)
@@ -358,10 +329,7 @@ class ScratchArrays:
         self._files: dict[str, IO[bytes]] = {}
 
     def append(self, arrays: Mapping[str, Array]) -> None:
-        """Write further rows.
-
-        Args:
-            arrays: (n, ...) float64 by name.
+        """Write further rows (n, ...) float64 by name.
 
         Raises:
             WritingError: they cannot be written.

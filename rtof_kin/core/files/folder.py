@@ -62,10 +62,8 @@ def _system() -> str:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new folder, of this user alone, that is removed when the block ends; see `clear`.
-
-    Raises:
-        OSError: it cannot be created.
+    """Yield a new folder, of this user alone, that is removed when the block ends, see `clear`; OSError if
+    impossible.
     """
     remove_leftovers(parent)
     while True:
@@ -111,11 +109,7 @@ def clear(folder: Path) -> None:
 
 
 def remove_leftovers(parent: Path) -> None:
-    """Remove temporary folders of killed processes.
-
-    Args:
-        parent: their parent folder, which need not exist.
-    """
+    """Remove temporary folders of killed processes from their parent folder, which need not exist."""
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             found = _OWN.fullmatch(entry.name)

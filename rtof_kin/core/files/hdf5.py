@@ -35,11 +35,7 @@ def multiples(values: ArrayLike, bits: int) -> Array:
 
 
 def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
-    """Return 32-bit floats with a shorter mantissa: a relative error of at most ``2^-(bits + 1)``.
-
-    Args:
-        values: of any shape. bits: of the mantissa, 22 or fewer.
-    """
+    """Return 32-bit floats with a mantissa of at most 22 bits: a relative error of at most ``2^-(bits + 1)``."""
     exact = np.array(values, dtype=np.float32)
     cut = _MANTISSA - bits
     whole = exact.view(np.uint32)
@@ -48,10 +44,8 @@ def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
 
 
 def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
-    """Return rotation vectors (..., 3), rad, shorter than quaternions; NaN where a matrix is not finite.
-
-    Args:
-        R: rotation matrices (..., 3, 3).
+    """Return the rotation vectors (..., 3), rad, of matrices (..., 3, 3), shorter than quaternions; NaN where not
+    finite.
     """
     return multiples(so3.known_log(R), bits).astype(np.float32)
 
@@ -97,20 +91,12 @@ class Hdf5Writer:
     """An HDF5 file that appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: Path, about: Mapping[str, Mapping[str, str]], overwrite: bool = True):
-        """Write nothing yet.
-
-        Args:
-            about: name of an array, or its end -> attributes, e.g. unit, frame and shape.
-        """
+        """Write nothing yet; `about` has attributes by the name of an array, or its end, e.g. unit, frame and shape."""
         self._path, self._about, self._overwrite = path, about, overwrite
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the file.
-
-        Raises:
-            OutputExistsError: the file exists. WritingError: it cannot be written.
-        """
+        """Open the file; raise `OutputExistsError` where it exists, `WritingError` where it cannot be written."""
         with ExitStack() as failed:
             target = failed.enter_context(new_file(self._path, self._overwrite))
             self._stream = failed.enter_context(_Stream(target, "w+"))
@@ -165,11 +151,7 @@ class Hdf5Writer:
             raise self._stream.problem
 
     def add(self, name: str, array: NDArray[Any]) -> None:
-        """Write a whole array.
-
-        Raises:
-            InvalidInputError: the name exists. OSError: see `append`.
-        """
+        """Write a whole array; a name that exists raises `InvalidInputError`, for OSError see `append`."""
         if name in self._file:
             raise InvalidInputError(f"{self._path}: {name} was already written")
         self._create(name, array, array.shape, array.shape)[...] = array
@@ -321,10 +303,8 @@ class ArrayFile:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return all arrays and attributes of an .h5 or .npz file of results, by name, the same of either.
-
-    Raises:
-        FileFormatError: see `ArrayFile`.
+    """Return all arrays and attributes of an .h5 or .npz file of results, by name, the same of either; see
+    `ArrayFile`.
     """
     with ArrayFile(path) as file:
         arrays = file.attributes | {name: file.whole(name) for name in file.shapes}

@@ -197,10 +197,7 @@ class InputTable(BaseModel):
 
     @classmethod
     def of(cls, data: Any, path: Path, name: str = "") -> Self:
-        """Make a table of plain data.
-
-        Args:
-            path: file, for messages. name: of the table in the file; '' for the top level.
+        """Make a table of plain data; its name in the file is '' at the top level.
 
         Raises:
             FileFormatError, UnknownNameError: as for `read`.

@@ -55,11 +55,7 @@ def write_manifest(
 
 
 def read_contents(folder: Path) -> Contents:
-    """Compare a folder with its manifest; links are not followed.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
+    """Compare a folder with its manifest; links are not followed. A file that cannot be read raises OSError."""
     kind, files = _read_manifest(folder / MANIFEST)
     folders = {str(parent) for name in files for parent in Path(name).parents}
     own: list[Path] = []
@@ -98,10 +94,8 @@ def made_from(folder: Path) -> dict[str, str]:
 
 
 def fingerprint(*parts: object) -> str:
-    """Return a SHA-256 of files, of folders with all their files, and of other values by their text.
-
-    Args:
-        parts: a `Path` stands for its contents, without the manifest.
+    """Return a SHA-256 of files and folders (`Path`, with all contents but manifests), and of other values by their
+    text.
 
     Raises:
         OSError: a file cannot be read.
@@ -138,21 +132,14 @@ def make_private(path: Path) -> None:
 
 
 def make_folders(path: Path) -> None:
-    """Make a folder and its parents, of this user alone; those that exist stay as they are.
-
-    Raises:
-        OSError: it cannot be made.
-    """
+    """Make a folder and its parents, of this user alone (OSError if impossible); those that exist stay as they are."""
     if not path.is_dir():
         make_folders(path.parent)
         path.mkdir(mode=0o700, exist_ok=True)
 
 
 def sync(path: Path) -> None:
-    """Sync a file or folder to the disk.
-
-    Args:
-        path: file or folder; a folder is skipped where the system cannot sync it.
+    """Sync a file or folder to the disk; a folder is skipped where the system cannot sync it.
 
     Raises:
         OSError: it cannot be written, e.g. the disk is full.

@@ -35,10 +35,8 @@ class Factor:
     """The `Store` whose code made it, and all of its numbers."""
 
     def solve(self, right: Array) -> Array:
-        """Return the solution in the shape of the right-hand side, n numbers in any shape.
-
-        Raises:
-            SolverError: `right` has another size.
+        """Return the solution in the shape of the right-hand side, n numbers in any shape; another size raises
+        `SolverError`.
         """
         if right.size != self.band.shape[1]:
             raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
@@ -114,10 +112,7 @@ def inverse_diagonal(factor: Array) -> Array:
 
 
 def factorise(band: Array) -> Factor:
-    """Factorise a positive definite matrix.
-
-    Args:
-        band: (n, w), row c is column c of the matrix from its diagonal downwards; it is overwritten.
+    """Factorise a positive definite matrix (n, w) in place; row c is column c from its diagonal downwards.
 
     Raises:
         SolverError: the matrix is not positive definite.
@@ -138,10 +133,8 @@ class Store:
     """
 
     def __init__(self, size: int, band: int, compiled: bool = True) -> None:
-        """Allocate a matrix of `size` unknowns with `band` diagonals below the main one.
-
-        Args:
-            compiled: whether it is factorised by compiled code where there is any.
+        """Allocate a matrix of `size` unknowns with `band` diagonals below the main one, for compiled code where there
+        is any.
         """
         self._code: Any = _code() if compiled else None
         self.size, self.band = size, band
@@ -155,11 +148,7 @@ class Store:
         self.entries, self._padding = rows[:size], band + tile
 
     def factorise(self, damping: float) -> Factor:
-        """Factorise the matrix, which is kept.
-
-        Raises:
-            SolverError: it is not positive definite.
-        """
+        """Factorise the matrix, which is kept; one that is not positive definite raises `SolverError`."""
         if self._code is None:
             band = self.entries[:, : self.band + 1].copy()
             band[:, 0] += damping

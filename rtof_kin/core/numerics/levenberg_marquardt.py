@@ -245,11 +245,7 @@ class LevenbergMarquardt:
         return float(energy - 0.5 / STIFFNESS * np.vdot(m, m))
 
     def linearise(self, x: Array, m: Array) -> Array:
-        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
-
-        Args:
-            x: (N, ...) state. m: (N, M) multipliers.
-        """
+        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian."""
         _, gradient = self.problem.linearise(x)
         if (pushed := self._pushed(x, m)) is None:
             return gradient

@@ -93,10 +93,8 @@ def _counted(number: int, noun: str) -> str:
 
 
 def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
-    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods.
-
-    Args:
-        times: (T,) s; no sentence where they do not increase. rate_hz: by default from the median step.
+    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods (by default the median step);
+    none where times (T,), s, do not increase.
     """
     steps = np.diff(times)
     if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
@@ -192,10 +190,7 @@ def sensor_log(
     file_notes: Iterable[str] = (),
     start_utc: datetime | None = None,
 ) -> SensorLog:
-    """Make the log of one trial.
-
-    Args:
-        start_utc: of the earliest sample, if the files state it.
+    """Make the log of one trial, whose earliest sample has `start_utc`, if the files state it.
 
     Raises:
         FileFormatError: no sensor, a name twice, or invalid numbers.

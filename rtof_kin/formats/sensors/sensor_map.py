@@ -108,10 +108,7 @@ def _of_xml(path: Path, text: str) -> list[_Row]:
 
 
 def matched(places: Mapping[str, str], sensors: Sequence[str], path: str | Path | None = None) -> dict[str, str]:
-    """Return the place of each sensor of a trial that a map names.
-
-    Args:
-        places: by serial number, by its last characters, or by name.
+    """Return the place of each sensor of a trial that a map names by serial number, by its last characters, or by name.
 
     Raises:
         InvalidInputError: no sensor is named, one is named twice, or there are both sensors and lines of the

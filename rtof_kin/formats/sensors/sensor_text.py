@@ -59,10 +59,7 @@ class SensorTable:
 
 
 def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text file with their numbers from 1, one at a time.
-
-    Args:
-        limit: largest size, bytes.
+    """Yield the lines of a text file of at most `limit` bytes with their numbers from 1, one at a time.
 
     Raises:
         FileFormatError: no such file, too large, binary, not UTF-8, or a line too long.
@@ -89,11 +86,7 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
 
 
 def cells(line: str, delimiter: str | None = None) -> list[str]:
-    """Split a line into cells without surrounding blanks.
-
-    Args:
-        delimiter: by default the most frequent of tab, semicolon, comma.
-    """
+    """Split a line into cells without surrounding blanks, by default at the most frequent of tab, semicolon, comma."""
     return [cell.strip() for cell in _split(line, delimiter or _delimiter(line))]
 
 

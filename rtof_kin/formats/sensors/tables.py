@@ -375,10 +375,7 @@ def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, 
 
 
 def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
-    """Write orientations R_inertial_sensor, z up, for OpenSim's OpenSense.
-
-    Args:
-        log: its sensors should have the names of their bodies (`SensorLog.renamed`).
+    """Write orientations R_inertial_sensor, z up, for OpenSense, of sensors named as bodies (`SensorLog.renamed`).
 
     Raises:
         InvalidInputError: a sensor lacks orientation or was sampled at other times.

@@ -68,11 +68,7 @@ def run(
 def explained(
     error: RtofError, recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> RtofError | None:
-    """Return an error of a reconstruction with its likely cause, that a check finds, before it; None for no cause.
-
-    Args:
-        recording, skeleton, lifter: of the reconstruction.
-    """
+    """Return an error of a reconstruction with its likely cause, if a check before it finds one; None for no cause."""
     if isinstance(error, ViewError):
         found = check_camera_alone(recording, skeleton, lifter)
         cause = next((check.cause for check in found if check.failed and check.cause), None)

@@ -54,11 +54,7 @@ class Standing:
 
 
 def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
-    """Estimate where the person stands; None without ankles.
-
-    Args:
-        poses: (T, J), of which the shape is used.
-    """
+    """Estimate where the person stands, for poses of J joints in T frames; None without ankles."""
     feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
     if not feet:
         return None
@@ -191,11 +187,7 @@ def check_camera_evidence(
 def check_camera_alone(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
 ) -> tuple[Check, ...]:
-    """Check the same before a reconstruction.
-
-    Args:
-        lifter: default: the shipped one.
-    """
+    """Check the same before a reconstruction, by default with the shipped lifter."""
     image = check_image(recording, skeleton, lifter or shipped_lifter())
     stands = None
     if image.lifted is not None:
@@ -379,11 +371,7 @@ _TOGETHER = 0.6  # Misfit of the shanks relative to that of the thighs, from whi
 
 
 def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
-    """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
-
-    Args:
-        misfit: of the solution, at times (T,), s.
-    """
+    """Check that the keypoints of knees and feet fit the hips, the bones and the sensors as a whole."""
     worst = int(misfit.thighs.argmax())
     name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
     if not value:

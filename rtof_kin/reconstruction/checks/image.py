@@ -114,11 +114,7 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
 
 
 def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
-    """Return the calibrated sensors at times (T,), s; None where they have no samples.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return the calibrated sensors at times (T,), s; None where they have no samples."""
     try:
         found = recording.bone_imus(times=times)
     except CalibrationError:
@@ -139,11 +135,7 @@ def _unknown(name: str, why: str) -> Check:
 
 
 def exchanged_sides(keypoints: KeypointSequence, only: str = "") -> KeypointSequence:
-    """Return the keypoints with left and right names exchanged.
-
-    Args:
-        only: a group of `side_pairs`; by default all.
-    """
+    """Return the keypoints with left and right names exchanged, of all or `only` one group of `side_pairs`."""
     order = np.arange(len(keypoints.names))
     for group, pairs in side_pairs(keypoints.names).items():
         if only not in ("", group):

@@ -100,11 +100,7 @@ class PositionErrors:
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
     def seen(self, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, image: ImageExcerpt) -> Self:
-        """Return what the evidence of a recording leaves open.
-
-        Args:
-            image: excerpt, lifted without sensors.
-        """
+        """Return what the evidence of a recording leaves open; `image` is an excerpt, lifted without sensors."""
         camera, size = keypoints.camera, len(CAMERA_UNKNOWNS)
         feet = scene.skeleton.index(*scene.contacts.joints)
         ankles = refit_root(poses, keypoints, sigma_depth=1.0).p_world_joint[:, feet][scene.contacts.standing]

@@ -47,11 +47,7 @@ class Annealing:
         observation: dict[str, Array],
         least_px: float = 0.0,
     ) -> None:
-        """Set the initial weights.
-
-        Args:
-            confidence: (N, L) of the landmarks. sizes: (L,) their errors relative to those of the others.
-        """
+        """Set the initial weights: landmarks' confidence (N, L), and sizes (L,) of their errors relative to others'."""
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
         low, high = settings.sigma_reprojection_range
@@ -192,11 +188,7 @@ def estimated_places(residuals: Array, slopes: Array, weights: Array, covariance
 
 
 def _frames_as_one(residuals: Array, seen: Mask) -> float:
-    """Number of frames in a row with the information of one: 1 + 2 sum of the autocorrelations.
-
-    Args:
-        residuals: (T, 2). seen: (T,).
-    """
+    """Number of frames in a row with the information of one, of residuals (T, 2): 1 + 2 sum of the autocorrelations."""
     x = np.where(seen[:, None], residuals - np.median(residuals[seen], axis=0), 0.0)
     transform = np.fft.rfft(x, 2 * len(x), axis=0)
     together = np.fft.rfft(seen.astype(float), 2 * len(x))

@@ -87,11 +87,7 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
 def confidence_of(
     space: StateSpace, times: Array, x: Array, covariance: Array, fixed: Collection[str] = ()
 ) -> Confidence:
-    """Return the covariances of positions and orientations.
-
-    Args:
-        times: (T,) s. x: (T, 3 + 4A) states. covariance: (T, D, D) of their tangents.
-    """
+    """Return the covariances of positions and orientations from those of tangents (T, D, D) at states x (T, 3 + 4A)."""
     skeleton, (p, R) = space.skeleton, space.poses(x)
     rates = space.turn_rates(R)
     moves = space.point_rates(p, rates, range(len(skeleton.names)), p)
@@ -143,11 +139,7 @@ def unseen_times(data: Observations) -> Array:
 
 
 def unseen_covariance(data: Observations, times: Array) -> Array:
-    """Return the covariances (T, D, D) of the states' tangents; zero where everything is seen.
-
-    Args:
-        times: (T, A) s, frames of `unseen_times`.
-    """
+    """Return the covariances (T, D, D) of the states' tangents in frames of `unseen_times`; 0 where all is seen."""
     space = data.space
     owner = np.repeat(np.arange(len(space.joints)), np.where(space.hinge_axis < 0, 3, 1))[3:]
     precision = space.expand[3:, 3:].T @ data.constant["precision"] @ space.expand[3:, 3:]

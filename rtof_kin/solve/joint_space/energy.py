@@ -245,11 +245,7 @@ class FrameEnergy:
 
 
 def camera_names(which: int) -> tuple[str, str, str]:
-    """Return the names of the constants of a camera: intrinsic matrix, rotation and translation.
-
-    Args:
-        which: 0 for the first.
-    """
+    """Return the names of a camera's constants, 0 for the first: intrinsic matrix, rotation and translation."""
     end = f"_{which}" if which else ""
     return f"K{end}", f"R_camera_world{end}", f"t_camera_world{end}"
 

@@ -279,11 +279,7 @@ class FixedLagSmoother:
         return solved.converged
 
     def finish(self, iterations: int, tolerance: float | None = None) -> bool:
-        """Improve the states once no further frame will come: all accelerations have their usual weight.
-
-        Args:
-            iterations, tolerance: as for `iterate`.
-        """
+        """Improve the states, as `iterate`, after the last frame: all accelerations have their usual weight."""
         self._early[:] = 1.0
         return self.iterate(iterations, tolerance)
 

@@ -319,11 +319,7 @@ def built_energy(
     compile: Compile,
     sigma: Array,
 ) -> FragmentEnergy:
-    """Return an energy of N frames, compiled where possible.
-
-    Args:
-        name: of the skeleton. sigma: (D,) of the jerk (`terms.Smooth`).
-    """
+    """Return an energy of N frames of a skeleton, compiled where possible; sigma: (D,) of the jerk (`terms.Smooth`)."""
     with BUILDING:
         energy = _frame_energy(name, terms, moving, hinges)
         return FragmentEnergy(_functions(name, terms, moving, hinges, compile), energy, frames, sigma)

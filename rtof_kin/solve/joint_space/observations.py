@@ -155,11 +155,7 @@ class Observations:
         return np.concatenate([of(camera)[:, part] for camera, part in self._cameras], axis=1)
 
     def anything_seen(self, first: int, inside: Mask) -> bool:
-        """Return whether a landmark or a sensor has data in a fragment.
-
-        Args:
-            first: its first frame. inside: (N,) which of its frames exist.
-        """
+        """Return whether a landmark or a sensor has data in a fragment from `first`, in its existing frames (N,)."""
         index = np.arange(first, first + self.frames)[inside]
         rows = self.rows["w_visual"], self.rows["w_sensor"], self.w_acceleration
         return any(row[index].any() for row in rows)

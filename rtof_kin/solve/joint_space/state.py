@@ -125,11 +125,7 @@ class StateSpace:
         return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
     def blend(self, x: Array, y: Array, weight_x: Array, weight_y: Array) -> Array:
-        """Return weighted means (T, 3 + 4A) of two sequences of states, rotations on the shorter arc.
-
-        Args:
-            x, y: (T, 3 + 4A). weight_x, weight_y: (T,).
-        """
+        """Return means (T, 3 + 4A) of two sequences of states weighted by (T,), rotations on the shorter arc."""
         q, r = self.rotations(x), self.rotations(y)
         r = np.where(np.sum(q * r, axis=-1, keepdims=True) < 0, -r, r)
         share = (weight_y / (weight_x + weight_y))[:, None]
@@ -139,11 +135,7 @@ class StateSpace:
         return np.concatenate([p, q.reshape(len(x), -1)], axis=1)
 
     def carried_on(self, x: Array, frame: int, known: Array) -> Array:
-        """Return states moved and turned alike so that one frame becomes a known state.
-
-        Args:
-            x: (T, 3 + 4A). known: (3 + 4A,) its state.
-        """
+        """Return states (T, 3 + 4A) moved and turned alike so that one frame becomes a known state (3 + 4A,)."""
         q, r = self.rotations(x), self.rotations(known[None])[0]
         turn = quat.multiply(quat.conjugate(q[frame]), r)
         moved = x[:, :3] + known[:3] - x[frame, :3]
@@ -170,20 +162,16 @@ class StateSpace:
         return owners, axes, beyond[:, owners]
 
     def turn_rates(self, R: Array) -> Array:
-        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world by the rotations.
-
-        Args:
-            R: (T, J, 3, 3) orientations of the segments.
+        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world, at R (T, J, 3, 3), by the
+        rotations.
         """
         owners, axes, moves = self._turning
         turned = np.einsum("tdij,jd->tdi", R[:, owners], axes)
         return np.where(moves[..., None], turned[:, None], 0.0)
 
     def point_rates(self, p: Array, turns: Array, joints: Sequence[int], points: Array) -> Array:
-        """Return derivatives (T, K, 3, D) of points on segments by the tangent.
-
-        Args:
-            p: (T, J, 3) joints, m. turns: their `turn_rates`. points: (T, K, 3) m.
+        """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent; `turns` as of
+        `turn_rates`.
         """
         arm = points[:, :, None] - p[:, None, self._turning[0]]
         moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)

@@ -406,10 +406,8 @@ class Smooth:
     unit: ClassVar[str] = "m/s^3, rad/s^3"
 
     def sigma(self, space: StateSpace, active: Collection[str]) -> Array:
-        """Return the standard deviations (D,) of the jerk of every tangent coordinate.
-
-        Args:
-            active: segments whose sensor has data.
+        """Return the standard deviations (D,) of the jerk of every tangent coordinate; `active`: segments with sensor
+        data.
         """
         prior, smooth = space.skeleton.table.prior, bare(active)
         others = self.jerk if active else self.unsensed
@@ -457,11 +455,7 @@ def low_passed(bone_imus: BoneImuSequence | None, settings: JointSpaceSettings) 
 def sensor_data(
     times: Array, bone_imus: BoneImuSequence | None, sensors: tuple[str, ...], settings: JointSpaceSettings
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return quaternions (T, S, 4) and weights (T, S), accelerations (T, S, 3) and weights, levers (S, 3).
-
-    Args:
-        times: (T,) s.
-    """
+    """Return quaternions (T, S, 4) and weights (T, S), accelerations (T, S, 3) and weights, levers (S, 3)."""
     T, S = len(times), len(sensors)
     quat = np.tile([1.0, 0.0, 0.0, 0.0], (T, S, 1))
     has, a, w, levers = np.zeros((T, S)), np.zeros((T, S, 3)), np.zeros((T, S)), np.zeros((S, 3))
