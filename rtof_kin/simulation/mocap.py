@@ -173,8 +173,7 @@ def _aimed(R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tupl
 
 def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     """Resample a clip; an integer ratio of rates takes every n-th frame. Otherwise the rotation of each segment in its
-    parent's frame is interpolated on the geodesic, the root's position linearly, and joints follow by forward
-    kinematics.
+    parent's frame is interpolated on the geodesic, the root's position linearly, and joints follow by kinematics.
     """
     poses = clip.poses
     ratio = poses.rate_hz / rate_hz
@@ -258,10 +257,8 @@ def _joined(clips: Iterable[MocapClip], length: int, rate_hz: float) -> MocapCli
 
 
 def find_asf(path_amc: str | Path) -> Path:
-    """Return the skeleton beside an .amc: ``16.asf`` of ``16_21.amc``, ``gs_charleston.asf`` of ``gs_charleston2.amc``.
-
-    Raises:
-        FileFormatError: there is none.
+    """Return the skeleton beside an .amc, else `FileFormatError`: ``16.asf`` of ``16_21.amc``, ``gs_charleston.asf`` of
+    ``gs_charleston2.amc``.
     """
     path_amc = Path(path_amc)
     stem = path_amc.stem
@@ -366,10 +363,9 @@ def _rate(root: Path, row: dict[str, str]) -> float:
 
 
 def without_spikes(clip: MocapClip) -> list[MocapClip]:
-    """Return a clip without glitches, or the pieces between them, each starting at time 0.
-
-    Where a step between frames exceeds the limit of speed, velocity jump or turning rate, both frames and
-    a neighbour on either side are cut out; so are frames beyond the limit of the ankle.
+    """Return a clip without glitches, or the pieces between them, each starting at time 0. Where a step between frames
+    exceeds the limit of speed, velocity jump or turning rate, both frames and a neighbour on either side are cut out;
+    so are frames beyond the limit of the ankle.
     """
     poses = clip.poses
     good = ~_flipped(poses.R_world_bone)

@@ -184,10 +184,8 @@ def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: 
 
 
 def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Array:
-    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames.
-
-    Episodes start at the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected
-    share is exact.
+    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames. They start at
+    the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected share is exact.
     """
     out = np.zeros((len(times), L, 2))
     shortest, longest = noise.outlier_duration

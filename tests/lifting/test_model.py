@@ -24,13 +24,6 @@ def network(widths: tuple[int, ...] = (3, 3, 3), causal: bool = False) -> Tempor
     return net.eval()
 
 
-@pytest.mark.parametrize(("widths", "frames"), [((3, 3, 3), 27), ((3, 5), 15), ((1,), 1), ((3,), 3)])
-def test_the_receptive_field_is_the_product_of_the_filter_widths(widths: tuple[int, ...], frames: int) -> None:
-    assert network(widths).receptive_field() == frames
-    assert network(widths).estimated() == frames // 2
-    assert network(widths, causal=True).estimated() == frames - 1
-
-
 @CAUSAL
 def test_the_residual_path_is_that_of_the_estimated_frame(causal: bool) -> None:
     """With temporal layers that contribute nothing, the output depends on the estimated frame alone."""
