@@ -31,12 +31,7 @@ def threads() -> int | None:
 
 def limit_threads(count: int | None) -> None:
     """Set the number of threads of libraries loaded from now on; None: that of the environment, else `USUAL`.
-
-    The BLAS of NumPy and SciPy, CasADi and torch read the environment when they are loaded. One is usual: matrices are
-    small, so a second thread doubles the processor time and gains nothing.
-
-    Raises:
-        InvalidInputError: less than one, or libraries are loaded already with another number.
+    `InvalidInputError`: less than one, or libraries are loaded already with another number.
     """
     if count is not None and count < 1:
         raise InvalidInputError(f"threads: {count}; give 1 or more")

@@ -15,10 +15,8 @@ _log = logging.getLogger(__name__)
 
 
 def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -> Any:
-    """Import a module of an optional package, which this package's extra installs; the error says what needs it.
-
-    Raises:
-        MissingPackageError: it is not installed, or its libraries cannot be loaded.
+    """Import a module of an optional package, which this package's extra installs; `MissingPackageError`, which says
+    what needs it, where it is not installed, or its libraries cannot be loaded.
     """
     package = module.partition(".")[0]
     try:

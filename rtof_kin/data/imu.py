@@ -67,12 +67,9 @@ class UnitCheck:
 
 
 def _check_unit(name: str, norm: Array, turned: Array) -> None:
-    """Check the specific force of a sensor.
-
-    A norm contains gravity, in any unit, if it is rarely small, or if most of it is constant in the inertial reference.
-
-    Args:
-        norm: (T,). turned: (4,) sum of the known samples in the inertial reference, and their number.
+    """Check the specific force of a sensor, of norms (T,), by the sum (4,) of the known samples in the inertial
+    reference, and their number. A norm contains gravity, in any unit, if it is rarely small, or if most of it is
+    constant in the inertial reference.
     """
     median = float(np.nanmedian(norm))
     feels_gravity = np.nanquantile(norm, 0.1) > 0.7 * median or (
@@ -165,7 +162,11 @@ class ImuSequence:
         )
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return sensors in the order of `names`; one that does not exist raises `UnknownNameError`."""
+        """Return sensors in the order of `names`.
+
+        Raises:
+            UnknownNameError: a sensor does not exist.
+        """
         index = indices_of("sensor", names, self.names)
         return replace(
             self,
@@ -207,8 +208,10 @@ class BoneImuSequence:
         )
 
     def select(self, joints: Sequence[str]) -> Self:
-        """Return the sensors of segments in the order of `joints`; a segment without a sensor raises
-        `UnknownNameError`.
+        """Return the sensors of segments in the order of `joints`.
+
+        Raises:
+            UnknownNameError: a segment has no sensor.
         """
         index = indices_of("IMU segment", joints, self.joints)
         return replace(
@@ -221,8 +224,13 @@ class BoneImuSequence:
 
     @classmethod
     def joined(cls, parts: Sequence[Self], times: ArrayLike) -> Self:
-        """Join sensors at given times (T,), s; `resample` those of others. `InvalidInputError`: none, or two of a
-        segment.
+        """Join sensors at given times; `resample` those with other times.
+
+        Args:
+            parts: any number of sensors each. times: (T,) s.
+
+        Raises:
+            InvalidInputError: there are none, or two of the same segment.
         """
         joints = [joint for part in parts for joint in part.joints]
         if not parts or len(set(joints)) < len(joints):
@@ -237,8 +245,10 @@ class BoneImuSequence:
         )
 
     def low_passed(self, cutoff_hz: float) -> Self:
-        """Low-pass filter the accelerations, -3 dB at `cutoff_hz`; implausible values are kept and excluded from the
-        filter.
+        """Low-pass filter the accelerations; implausible values are kept and excluded from the filter.
+
+        Args:
+            cutoff_hz: -3 dB frequency, Hz.
         """
         absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
         out = np.where(absurd, np.nan, self.a_world)
@@ -323,7 +333,11 @@ class ImuCalibration:
                 )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
-        """Return the calibration of sensors in the order given; a sensor without one raises `UnknownNameError`."""
+        """Return the calibration of sensors in the order given.
+
+        Raises:
+            UnknownNameError: a sensor has no calibration.
+        """
         index = indices_of("calibrated sensor", sensors, self.sensors)
         return replace(
             self,
@@ -336,8 +350,10 @@ class ImuCalibration:
         )
 
     def apply(self, imus: ImuSequence) -> BoneImuSequence:
-        """Return orientations of the segments and accelerations in world without gravity; `CalibrationError` where a
-        sensor has no calibration.
+        """Return orientations of the segments and accelerations in world without gravity.
+
+        Raises:
+            CalibrationError: a sensor has no calibration.
         """
         missing = [name for name in imus.names if name not in self.sensors]
         if missing:

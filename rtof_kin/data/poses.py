@@ -125,8 +125,11 @@ class PoseSequence:
         return self.with_poses(frames, self.p_world_joint[frames])
 
     def with_poses(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
-        """Return some frames with other poses: positions (T', J, 3), m, and orientations, without which those of before
-        stay; with them `sigma_rad` becomes NaN.
+        """Return some frames with other poses.
+
+        Args:
+            p_world_joint: (T', J, 3) m.
+            R_world_bone: (T', J, 3, 3); if given, `sigma_rad` becomes NaN, else orientations are kept.
         """
         sigma_rad = self.sigma_rad[frames]
         return replace(

@@ -49,11 +49,7 @@ _SHAPES = {
 
 
 def read_camera_motion(path: Path) -> CameraMotion:
-    """Read the motion of a camera.
-
-    Raises:
-        FileFormatError: damaged, or an array is missing, unknown or of another shape.
-    """
+    """Read the motion of a camera; `FileFormatError`: damaged, or an array is missing, unknown or of another shape."""
     arrays = read_npz(path)
     wrong = [name for name in arrays if name not in _SHAPES] or [n for n in list(_SHAPES)[:2] if n not in arrays]
     if wrong:

@@ -93,11 +93,8 @@ class ReferenceTable(InputTable):
 
 
 def read_gait_reference(path: str | Path) -> GaitReference:
-    """Read a reference.
-
-    Raises:
-        FileFormatError: it is none, or a field is missing or wrong, which is named. UnknownNameError: unknown
-            field or variable.
+    """Read a reference. `FileFormatError`: it is none, or a field is missing or wrong, which is named;
+    `UnknownNameError`: unknown field or variable.
     """
     path = Path(path)
     data = load_json(path, LARGEST, "a reference of gait scores, which rtof-kin gait-reference writes")

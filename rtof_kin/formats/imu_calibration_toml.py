@@ -78,7 +78,10 @@ class CalibrationTable(InputTable):
 
 
 def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuCalibration:
-    """Read a calibration; the segments of a skeleton carry the sensors, at its default positions.
+    """Read a calibration.
+
+    Args:
+        skeleton: its segments carry the sensors; it has the default positions.
 
     Raises:
         FileFormatError: no such file, no sensor in it, or a missing or invalid field, which is named.
@@ -91,8 +94,10 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
 
 
 def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, overwrite: bool = False) -> None:
-    """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits; errors as
-    `core.files.folder.new_file`.
+    """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits.
+
+    Raises:
+        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
     content = {"sensors": calibration_table(calibration)}
     write_text(Path(path), tomli_w.dumps(content), overwrite)

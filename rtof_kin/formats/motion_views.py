@@ -112,11 +112,9 @@ def landmark_markers(motion: AnyMotion) -> MarkerBlocks:
 
 
 def joint_tree(motion: AnyMotion) -> Iterator[ArticulatedMotion]:
-    """Yield the skeleton as a tree of joints in blocks of frames at even times, with end sites at the far ends of its
-    leaves. The y axis points up and lengths are in cm, as readers of BVH expect; a person who faces world x faces z.
-
-    Raises:
-        InvalidInputError: a frame is unknown, or times are uneven.
+    """Yield the skeleton as a tree of joints in blocks of frames at even times, else `InvalidInputError`, as where a
+    frame is unknown, with end sites at the far ends of its leaves. The y axis points up and lengths are in cm, as
+    readers of BVH expect; a person who faces world x faces z.
     """
     check_known(motion)
     source, R_world_file = MotionSource.of(motion), world_of_file("y")

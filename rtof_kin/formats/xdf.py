@@ -315,10 +315,8 @@ class XdfPoints:
 
 
 def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
-    """Read the detected points of a file; the stream's name is not needed where only one has points.
-
-    Raises:
-        FileFormatError: unreadable, damaged, or no stream of points or several.
+    """Read the detected points of a file; the stream's name is not needed where only one has points. `FileFormatError`:
+    unreadable, damaged, or no stream of points or several.
     """
     path = Path(path)
     structure = read_structure(path)

@@ -181,11 +181,9 @@ def _described(R_sensor_oriented: Array) -> str:
 
 
 def fixed_axes(stream: SensorStream) -> tuple[Array, str] | None:
-    """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
-
-    Returns:
-        R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, and its
-        description. None for too little data, turning about one axis only, or rates that still disagree.
+    """Fit the constant orthogonal matrix (3, 3) from the orientation's rates, in the axes of the file, to the
+    gyroscope's (Wahba 1965), and describe it. None for too little data, turning about one axis only, or rates that
+    still disagree.
     """
     pair = _both_rates(stream)
     if pair is None:

@@ -56,10 +56,8 @@ _log = logging.getLogger(__name__)
 
 
 def read_camera(table: CameraTable) -> Camera:
-    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file;
+    `FileFormatError`, `UnknownNameError` and `UnitError` name file, field and remedy.
     """
     if table.file is None:
         camera = _declared_camera(table)

@@ -141,9 +141,13 @@ def _mapped(table: ImusTable, log: SensorLog, skeleton: SkeletonModel, named: Se
 
 
 def imus_of_log(log: SensorLog) -> ImuSequence:
-    """Return orientation and specific force of all sensors at common times. Orientations that are missing are estimated
-    by VQF, else `InvalidInputError`; a sensor of orientation alone has NaN for its specific force. Sensors of other
-    times are resampled to even times at the fastest sensor's rate.
+    """Return orientation and specific force of all sensors at common times.
+
+    Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its
+    specific force. Sensors of other times are resampled to even times at the fastest sensor's rate.
+
+    Raises:
+        InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
     """
     streams = log_with_orientation(log).streams
     unknown = {one.name: np.full((len(one), 3), np.nan) for one in streams if one.f_sensor is None}

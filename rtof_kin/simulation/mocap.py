@@ -173,8 +173,7 @@ def _aimed(R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tupl
 
 def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     """Resample a clip; an integer ratio of rates takes every n-th frame. Otherwise the rotation of each segment in its
-    parent's frame is interpolated on the geodesic, the root's position linearly, and joints follow by forward
-    kinematics.
+    parent's frame is interpolated on the geodesic, the root's position linearly, and joints follow by kinematics.
     """
     poses = clip.poses
     ratio = poses.rate_hz / rate_hz

@@ -333,16 +333,10 @@ _DOT_COLUMNS: Final = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,
 
 
 def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
-    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them.
-
-    The sensors' files are those of Movella DOTs, one per sensor, named by a letter and a number. Mounting,
-    headings and the time between the two clocks are in none of the files.
-
-    Args:
-        overwrite: replace what this wrote there earlier.
-
-    Raises:
-        InvalidInputError: there are no keypoints. OutputExistsError: `folder` may not be replaced.
+    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them; `overwrite`
+    replaces what this wrote earlier. The sensors' files are those of Movella DOTs, one per sensor, named by a letter
+    and a number. Mounting, headings and the time between the two clocks are in none of the files. `InvalidInputError`:
+    no keypoints; `OutputExistsError`: `folder` may not be replaced.
     """
     keypoints = recording.video
     columns = {"time": keypoints.times}

@@ -46,8 +46,11 @@ class Layout:
 
     @classmethod
     def of(cls, name: str, title: str, names: Iterable[str], points: Mapping[str, str] | None = None) -> Self:
-        """Return the layout of points in a detector's own words (``left_big_toe``, ``LBigToe``); `points`: which point
-        of the table each is, where its name does not say it.
+        """Return the layout of points in a detector's own words.
+
+        Args:
+            names: K names of the points (``left_big_toe``, ``LBigToe``).
+            points: which point of the table each is, where its name does not say it.
         """
         names, renamed = tuple(map(str, names)), points or {}
         return cls(name, title, names, tuple(str(renamed.get(n, _canonical(n))) for n in names))
@@ -56,8 +59,10 @@ class Layout:
         return len(self.names)
 
     def order(self, names: Sequence[str]) -> list[int] | None:
-        """Return the index of each of the K points among names in any order and spelling (``LBigToe``,
-        ``left_big_toe``), or None if one is missing.
+        """Return the index of each of the K points among names, or None if one is missing.
+
+        Args:
+            names: in any order and spelling (``LBigToe``, ``left_big_toe``).
         """
         given = [_canonical(name).lower() for name in names]
         wanted = [_canonical(name).lower() for name in self.names]
@@ -177,11 +182,8 @@ def _shipped_table() -> DetectorTable:
 
 
 def read_detector_table(path: str | Path) -> DetectorTable:
-    """Read and check a table of detectors' layouts.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a duplicate name.
-        UnknownNameError: unknown point, or unknown joint or landmark of the shipped skeleton.
+    """Read and check a table of detectors' layouts. `FileFormatError`: not TOML, a field missing or of the wrong kind,
+    a duplicate name; `UnknownNameError`: unknown point, or unknown joint or landmark of the shipped skeleton.
     """
     path = Path(path)
     data = load_toml(path)

@@ -126,17 +126,9 @@ def cached_models(wanted: ModelSet) -> Path | None:
 
 
 def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
-    """Download the files of a set that are not in the cache yet. Calling it is consent.
-
-    Args:
-        progress: called with ("fetch", megabytes done, megabytes in all).
-
-    Returns:
-        The folder of the files.
-
-    Raises:
-        RtofError: what runs them is not installed, no connection, an interrupted download, another file than
-            the published one, a full disk.
+    """Download the files of a set that are not in the cache yet to the folder that is returned. Calling it is consent.
+    Progress is ("fetch", megabytes done, megabytes in all). `RtofError`: what runs them is not installed, no
+    connection, an interrupted download, another file than the published one, a full disk.
     """
     if wanted.missing:
         raise RtofError(f"{', '.join(wanted.missing)}: not installed, {wanted.title} needs it: {wanted.install}")

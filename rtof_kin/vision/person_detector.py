@@ -267,14 +267,9 @@ class PersonDetector(Protocol):
 
 
 def choose_detector(models: str | Path | None = None) -> PersonDetector:
-    """Return the given detector, else one of downloaded models, else MediaPipe's own. Downloads nothing.
-
-    Args:
-        models: folder of .onnx files, folder with a .task file, or a .task file; None: whatever is at hand.
-
-    Raises:
-        FileFormatError: the given models, or downloaded ones, cannot be used.
-        RtofError: no detector is at hand; the message has the commands that provide one.
+    """Return the given detector (folder of .onnx files or with a .task file, or a .task file), else one of downloaded
+    models, else MediaPipe's own. Downloads nothing. `FileFormatError`: the models cannot be used; `RtofError`: no
+    detector is at hand; the message has the commands that provide one.
     """
     if models is not None:
         return _given(Path(models))

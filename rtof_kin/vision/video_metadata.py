@@ -44,11 +44,8 @@ _MOST_PIXELS = 64e6  # of one image: 8K has 33 million
 
 @contextmanager
 def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
-    """Yield the container and the first video stream of a file; errors of PyAV become `FileFormatError`.
-
-    Raises:
-        FileFormatError: no such file, not a video, or with images larger than any camera's.
-        RtofError: the extra is not installed.
+    """Yield the container and the first video stream of a file; errors of PyAV become `FileFormatError`, as do no such
+    file, not a video, or images larger than any camera's; `RtofError`: the extra is not installed.
     """
     av = optional("av", "video")
     path = Path(path)

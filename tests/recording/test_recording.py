@@ -29,7 +29,8 @@ from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.index import INDEX, Session
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.recording.streams import BLOCK
 

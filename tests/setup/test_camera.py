@@ -34,8 +34,9 @@ from rtof_kin.setup.camera import (
     filming_camera,
     rotation_of_video,
 )
-from rtof_kin.setup.init import SetupSettings, find_people, write_recording
+from rtof_kin.setup.init import find_people, write_recording
 from rtof_kin.setup.recording_text import Field, Origin, recording_text, summaries
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.background_motion import bearings, turn_between
 from rtof_kin.vision.detections import Detections

@@ -226,9 +226,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 
 def read_csv(path: Path) -> dict[str, Array]:
     """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
-
-    Raises:
-        FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
+    `FileFormatError`: no such file, no header, a line of another length, a cell that is not a number.
     """
     text = read_text(path, _CSV, _LARGEST_CSV)
     (columns,) = _tables(path, io.StringIO(text, newline=""), None)

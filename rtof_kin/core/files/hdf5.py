@@ -30,7 +30,10 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits."""
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
+
+    The zero bytes of numbers with no more digits than needed vanish in a compressed file.
+    """
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 

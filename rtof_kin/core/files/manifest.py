@@ -33,11 +33,8 @@ class Contents:
 def write_manifest(
     folder: Path, kind: str, inputs: Mapping[str, str] | None = None, paths: Iterable[Path] | None = None
 ) -> None:
-    """Sync all files of a new folder, of this user alone, to the disk and list them in its manifest.
-
-    Args:
-        folder: contains only files of this package.
-        paths: files to list in a folder that contains others too; None: everything in it.
+    """Sync all files of a new folder, of this user alone and of this package, to the disk and list them in its
+    manifest; in a folder that contains others too, those of `paths`.
     """
     files = {}
     for path in sorted(folder.rglob("*") if paths is None else paths):

@@ -115,8 +115,10 @@ def formats() -> tuple[Format, ...]:
 
 
 def add_format(form: Format) -> None:
-    """Add a format for this process, in place of an added one of its title; a built-in's title raises
-    `InvalidInputError`.
+    """Add a format for this process, in place of an added one of the same title.
+
+    Raises:
+        InvalidInputError: its title is that of a built-in format.
     """
     ADDED.add(form, [one.title for one in FORMATS])
 

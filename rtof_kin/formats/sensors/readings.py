@@ -44,14 +44,8 @@ class Packets:
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
-    """Sort packets by a counter that wraps.
-
-    Args:
-        counters: (N,) as in the file. lines: (N,) their lines.
-        wrap: the first number that the counter cannot show, e.g. 2**16. what: the counter's name in the file.
-
-    Raises:
-        FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
+    """Sort packets by a counter (N,) that wraps: `wrap` is the first number that it cannot show, e.g. 2**16.
+    `FileFormatError`, which names line and counter: no whole number, out of range, not counting, or restarted.
     """
     wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
     if wrong.any():
@@ -187,7 +181,10 @@ def sensor_log(
     file_notes: Iterable[str] = (),
     start_utc: datetime | None = None,
 ) -> SensorLog:
-    """Make the log of one trial, whose earliest sample has `start_utc`, if the files state it.
+    """Make the log of one trial.
+
+    Args:
+        start_utc: of the earliest sample, if the files state it.
 
     Raises:
         FileFormatError: no sensor, a name twice, or invalid numbers.

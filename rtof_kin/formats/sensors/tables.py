@@ -376,9 +376,7 @@ def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, 
 
 def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
     """Write orientations R_inertial_sensor, z up, for OpenSense, of sensors named as bodies (`SensorLog.renamed`).
-
-    Raises:
-        InvalidInputError: a sensor lacks orientation or was sampled at other times.
+    `InvalidInputError`: a sensor lacks orientation or was sampled at other times.
     """
     times = log.streams[0].times
     columns = []
