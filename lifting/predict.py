@@ -162,15 +162,9 @@ class Lifter:
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
         with torch_threads(1), torch.inference_mode():
-            windows = source.windows(
-                times,
-                network.receptive_field(),
-                network.estimated(),
-                self.description.rate_hz,
-                bones,
-                height,
-                picture=network.config.model != RAYS,
-            )
+            size, estimated = network.receptive_field(), network.estimated()
+            rate_hz, picture = self.description.rate_hz, network.config.model != RAYS
+            windows = source.windows(times, size, estimated, rate_hz, bones, height, picture)
             encoded = model.encode(body, windows)
             if network.config.model == RAYS:
                 if flip not in self._folded:

@@ -79,15 +79,8 @@ class Source:
                     axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
         middle = np.array([camera.width_px, camera.height_px]) / 2
         xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
-        return cls(
-            keypoints.times,
-            rays.astype(np.float32),
-            seen,
-            axes,
-            sensed,
-            xy.astype(np.float32),
-            camera.R_camera_world.astype(np.float32),
-        )
+        rays32, xy32, R_camera_world = (x.astype(np.float32) for x in (rays, xy, camera.R_camera_world))
+        return cls(keypoints.times, rays32, seen, axes, sensed, xy32, R_camera_world)
 
     def extended(self, count: int, rate_hz: float) -> Self:
         """Return the same with further frames, in which the last one moves on more and more slowly.

@@ -92,7 +92,8 @@ class FewWindows:
         now, ray = seen[rows, frame], rays[rows, :, frame]
         rank = now * self._rank
         chosen = now & (rank == rank.max(axis=1, keepdims=True))
-        centre = (ray * (chosen / _length(ray))[:, None]).sum(axis=2)
+        length = np.sqrt((ray * ray).sum(axis=1)).clip(1e-12)
+        centre = (ray * (chosen / length)[:, None]).sum(axis=2)
         centre[:, 0] += 1e-12  # negligible where anything is seen
         return np.asarray(centre, np.float32)
 
@@ -187,11 +188,6 @@ def _rotations(x: Array, z: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         R[..., i, 1] = z[..., j] * x[..., k] - z[..., k] * x[..., j]
     return R
-
-
-def _length(v: _Array) -> _Array:
-    """Lengths (B, n) of vectors (B, 3, n), at least 1e-12."""
-    return np.asarray(np.sqrt((v * v).sum(axis=1)).clip(1e-12))
 
 
 _SAME_S = 1e-6
@@ -343,15 +339,8 @@ class StreamingLifter:
         source, rate_hz = self._frames.source(), self._lifter.description.rate_hz
         if self._after() and latest + self.delay_s > newest + 0.1 / rate_hz:
             source = source.extended(self._after(), rate_hz)
-        windows = source.windows(
-            at,
-            self._lifter.receptive_field(),
-            self._lifter.estimated(),
-            rate_hz,
-            self._bones,
-            self._height,
-            picture=False,
-        )
+        size, estimated = self._lifter.receptive_field(), self._lifter.estimated()
+        windows = source.windows(at, size, estimated, rate_hz, self._bones, self._height, picture=False)
         p, sigma_m, R, sigma_rad = self._lifted(windows)
         enough = windows.seen.numpy().any(axis=1).sum(axis=1) >= MIN_JOINTS
         p += self._centre

@@ -16,9 +16,10 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.ground_reaction import GroundReaction, foot_contacts, ground_reaction
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
-from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
+from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
+from rtof_kin.core.choices import Repeated
 from rtof_kin.core.errors import InvalidInputError
 
 
@@ -60,7 +61,7 @@ def analyse(
     weight_kg: float | None = None,
     height: float | None = None,
     sex: str | None = None,
-    repetitions: Kind | None = None,
+    repetitions: Repeated | None = None,
     from_standing: bool = False,
 ) -> MotionAnalysis:
     """Compute angles, ranges of motion and gait; repetitions and torques on request.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from typing import Final, get_args
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -14,11 +14,11 @@ from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Repeated
 from rtof_kin.core.errors import UnknownNameError
 
 Interval = tuple[float, float]
-Kind = Literal["squat", "sit_to_stand"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+KINDS: Final[tuple[Repeated, ...]] = get_args(Repeated)
 CUTOFF_HZ: Final = 3.0  # low-pass of the pelvis height
 LEAST_DROP: Final = 0.15  # smallest descent of the pelvis, share of the leg's length
 AT_REST: Final = 0.05  # a movement lasts from 5 % to 95 % of its way, which excludes sway and settling
@@ -59,7 +59,7 @@ class Repetition:
 class RepetitionAnalysis:
     """All repetitions of a recording."""
 
-    kind: Kind
+    kind: Repeated
     repetitions: tuple[Repetition, ...]
     notes: tuple[str, ...]
 
@@ -73,7 +73,7 @@ class RepetitionAnalysis:
         return last.ascent[1] - start[0] if start and last.ascent else float("nan")
 
 
-def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Kind) -> RepetitionAnalysis:
+def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Repeated) -> RepetitionAnalysis:
     """Find squats (standing - down - standing), or rises from a seat to standing.
 
     The height of the pelvis is measured from the ankles, or in world if no ankle is observed.

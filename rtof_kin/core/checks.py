@@ -21,10 +21,8 @@ Shape = Sequence[int | str]
 
 
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
-    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
-
-    Raises:
-        ShapeError: the value is not numeric or its shape differs.
+    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``; `ShapeError` where the
+    value is not numeric or its shape differs.
     """
     try:
         array = np.array(value, dtype=dtype)
@@ -45,21 +43,13 @@ def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
 
 
 def freeze(record: object, name: str, **shapes: Shape) -> None:
-    """Replace array fields of a frozen dataclass, in its ``__post_init__``, by read-only copies of these shapes.
-
-    Raises:
-        ShapeError: see `readonly`.
-    """
+    """Replace array fields of a frozen dataclass, in its ``__post_init__``, by `readonly` copies of these shapes."""
     for own, shape in shapes.items():
         object.__setattr__(record, own, readonly(f"{name} {own}", getattr(record, own), shape))
 
 
 def checked_times(field: str, times: ArrayLike) -> Array:
-    """Return read-only times (T,) in seconds.
-
-    Raises:
-        InvalidInputError: they are empty, not finite or not strictly increasing.
-    """
+    """Return read-only times (T,), s; `InvalidInputError` where empty, not finite or not strictly increasing."""
     array: Array = readonly(field, times, ("T",))
     if len(array) == 0:
         raise InvalidInputError(f"{field}: empty; at least one sample is needed")
@@ -94,11 +84,7 @@ def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def checked_rotations(field: str, R: Array) -> None:
-    """Check that each of the matrices (..., 3, 3) is a rotation or NaN as a whole.
-
-    Raises:
-        InvalidInputError: a matrix is neither.
-    """
+    """Check that each of the matrices (..., 3, 3) is a rotation or NaN as a whole, or raise `InvalidInputError`."""
     unknown = np.isnan(R)
     if not unknown.any() and so3.is_rotation(R, tolerance=1e-5):
         return

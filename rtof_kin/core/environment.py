@@ -31,9 +31,7 @@ def threads() -> int | None:
 
 def limit_threads(count: int | None) -> None:
     """Set the number of threads of libraries loaded from now on; None: that of the environment, else `USUAL`.
-
-    Raises:
-        InvalidInputError: less than one, or libraries are loaded already with another number.
+    `InvalidInputError`: less than one, or libraries are loaded already with another number.
     """
     if count is not None and count < 1:
         raise InvalidInputError(f"threads: {count}; give 1 or more")

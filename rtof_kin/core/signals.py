@@ -48,10 +48,8 @@ def _in_gap(t: Array, at: Array, max_gap: float) -> Mask:
 
 
 def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
-    """Interpolate rotations on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives NaN.
-
-    Args:
-        times: (T,) s, increasing. R: (T, S, 3, 3). at, max_gap: see `interpolate`.
+    """Interpolate rotations (T, S, 3, 3) on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives
+    NaN.
     """
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)

@@ -87,7 +87,11 @@ class Camera:
     def looking_at(
         cls, position: ArrayLike, target: ArrayLike, focal_px: float, width_px: int = 1920, height_px: int = 1080
     ) -> Camera:
-        """Return an upright camera at a position (3,) in world, m, whose optical axis passes through a target."""
+        """Return an upright camera whose optical axis passes through a point.
+
+        Args:
+            position, target: (3,) in world, m. focal_px: focal length, px.
+        """
         position = np.asarray(position, dtype=float)
         forward = so3.unit(np.asarray(target, dtype=float) - position)
         right = so3.unit(np.cross(forward, [0.0, 0.0, 1.0]))
@@ -105,7 +109,11 @@ class Camera:
         return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
 
     def project(self, p_world: ArrayLike) -> Array:
-        """Project points (..., 3), m, to pixels (..., 2); NaN for points behind the camera."""
+        """Project points to pixels (..., 2); NaN for points behind the camera.
+
+        Args:
+            p_world: (..., 3) m.
+        """
         p = self.to_camera(p_world)
         depth = p[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):

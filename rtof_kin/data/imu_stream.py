@@ -35,7 +35,10 @@ _UPRIGHT: dict[str, Array] = {
 
 @dataclass(frozen=True)
 class Declaration:
-    """Units and conventions of a file. The defaults are those of this package."""
+    """Units and conventions of a file. The defaults are those of this package.
+
+    A format has a declaration, which the user may change; `rtof_kin.inertial.physics` checks it against the data.
+    """
 
     acceleration_unit: AccelerationUnit = "m/s2"
     gravity: Gravity = "included"
@@ -59,7 +62,10 @@ class Declaration:
             raise InvalidInputError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
 
     def changed(self, **values: Any) -> Self:
-        """Return the declaration with other values of some fields; None leaves one unchanged.
+        """Return the declaration with other values of some fields.
+
+        Args:
+            values: by field; None leaves it unchanged.
 
         Raises:
             UnknownNameError: an unknown field or value.
@@ -71,8 +77,10 @@ class Declaration:
         return replace(self, **{k: v for k, v in values.items() if v is not None})
 
     def rotations(self, quaternions: Array) -> Array:
-        """Return R_inertial_sensor (T, 3, 3), reference with z up, of the file's quaternions (T, 4), of any norm; NaN
-        where not finite or zero.
+        """Return R_inertial_sensor (T, 3, 3), reference with z up; NaN where not finite or zero.
+
+        Args:
+            quaternions: (T, 4) of the file, of any norm.
         """
         order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
         quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
@@ -90,8 +98,11 @@ class Declaration:
         return _UPRIGHT[self.inertial_axes] @ R
 
     def specific_force(self, acceleration: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """Return f_sensor (T, 3), m/s^2. Gravity removed or inertial axes require R_inertial_sensor (T, 3, 3) of
-        `rotations`.
+        """Return f_sensor (T, 3), m/s^2.
+
+        Args:
+            acceleration: (T, 3) of the file.
+            R_inertial_sensor: (T, 3, 3) from `rotations`; required if gravity was removed or axes are inertial.
 
         Raises:
             InvalidInputError: it is required and not given.
@@ -126,12 +137,20 @@ class Declaration:
         return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
 
     def filed_quaternions(self, R_inertial_sensor: Array) -> Array:
-        """Invert `rotations`: return the unit quaternions (T, 4) of the file, up to sign."""
+        """Invert `rotations`: return the unit quaternions (T, 4) of the file, up to sign.
+
+        Args:
+            R_inertial_sensor: (T, 3, 3).
+        """
         quat = so3.known_to_quat_wxyz(self.filed_rotations(R_inertial_sensor))
         return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
 
     def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """Invert `specific_force`: return the accelerations (T, 3) of the file from f_sensor (T, 3), m/s^2."""
+        """Invert `specific_force`: return the accelerations (T, 3) of the file.
+
+        Args:
+            f_sensor: (T, 3) m/s^2. R_inertial_sensor: (T, 3, 3), see `specific_force`.
+        """
         if self.gravity == "included" and self.acceleration_axes == "sensor":
             return f_sensor / _METRES[self.acceleration_unit]
         if R_inertial_sensor is None:
@@ -246,7 +265,11 @@ class SensorStream:
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else float("nan")
 
     def between(self, start: float, stop: float) -> SensorStream | None:
-        """Return the samples from start to before stop, s; None where there are fewer than two."""
+        """Return the samples from start to before stop; None where there are fewer than two.
+
+        Args:
+            start, stop: s.
+        """
         a, b = np.searchsorted(self.times, [start, stop])
         if b - a < 2:
             return None
@@ -254,7 +277,11 @@ class SensorStream:
         return replace(self, **arrays, quaternion_norm=None)
 
     def imu(self) -> ImuSequence:
-        """Return orientation and specific force for a recording; one that is missing raises `InvalidInputError`."""
+        """Return orientation and specific force for a recording.
+
+        Raises:
+            InvalidInputError: one of them is missing.
+        """
         if self.R_inertial_sensor is None or self.f_sensor is None:
             missing = "orientation" if self.R_inertial_sensor is None else "acceleration"
             raise InvalidInputError(
@@ -307,7 +334,11 @@ class SensorLog:
         return tuple(stream.name for stream in self.streams)
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return sensors in the order of `names`; one that does not exist raises `UnknownNameError`."""
+        """Return sensors in the order of `names`.
+
+        Raises:
+            UnknownNameError: a sensor does not exist.
+        """
         index = indices_of("sensor", names, self.names)
         return replace(self, streams=tuple(self.streams[i] for i in index))
 

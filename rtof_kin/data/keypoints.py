@@ -92,7 +92,11 @@ class KeypointSequence:
         )
 
     def on_clock(self, times: Array) -> Self:
-        """Return the frames at their times (T,), s, on another clock; `video_times` stay."""
+        """Return the frames at their times on another clock; `video_times` stay.
+
+        Args:
+            times: (T,) s.
+        """
         same = np.array_equal(times, self.times)
         return self if same else replace(self, times=times, own_times=self.video_times)
 
@@ -102,7 +106,11 @@ class KeypointSequence:
         return self.times if self.own_times is None else self.own_times
 
     def resample(self, times: Array) -> Self:
-        """Return the landmarks interpolated linearly to other times (T',), s; missing frames stay missing."""
+        """Return the landmarks interpolated linearly to other times; missing frames stay missing.
+
+        Args:
+            times: (T',) s.
+        """
         if np.array_equal(times, self.times):
             return self
         max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
@@ -131,14 +139,20 @@ class KeypointSequence:
         )
 
     def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points (n, ..., 3), m, to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight.
-        The n of the T frames are an index of arrays.
+        """Project points to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight.
+
+        Args:
+            p_world: (n, ..., 3) m. frames: n of the T frames, as an index of arrays.
         """
         uv = self.camera.project(p_world)
         return uv if self.turning is None else self.turning.in_video(uv, frames)
 
     def in_video(self, frames: Any) -> Array:
-        """Return the detected points (n, L, 2) of some frames, an index of arrays, in pixels of the upright video."""
+        """Return the detected points (n, L, 2) in pixels of the upright video.
+
+        Args:
+            frames: n of the T frames, as an index of arrays.
+        """
         uv = self.uv_px[frames]
         return uv if self.turning is None else self.turning.in_video(uv, frames)
 

@@ -292,13 +292,8 @@ class PointChannels:
 
     @classmethod
     def of(cls, stream: str, labels: Sequence[str], units: Sequence[str] = ()) -> PointChannels:
-        """Return what the channels hold: ``<landmark>_x``, ``_y`` in px, and ``_confidence``.
-
-        Args:
-            labels, units: of each channel; units may be empty.
-
-        Raises:
-            InvalidInputError: no point, one without x or y, a channel twice, or coordinates not in px.
+        """Return what the channels hold: ``<landmark>_x``, ``_y`` in px, and ``_confidence``; units may be empty.
+        `InvalidInputError`: no point, one without x or y, a channel twice, or coordinates not in px.
         """
         found: dict[str, dict[str, int]] = {}
         for column, label in enumerate(labels):

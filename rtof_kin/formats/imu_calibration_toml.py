@@ -78,7 +78,10 @@ class CalibrationTable(InputTable):
 
 
 def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuCalibration:
-    """Read a calibration; the segments of a skeleton carry the sensors, at its default positions.
+    """Read a calibration.
+
+    Args:
+        skeleton: its segments carry the sensors; it has the default positions.
 
     Raises:
         FileFormatError: no such file, no sensor in it, or a missing or invalid field, which is named.

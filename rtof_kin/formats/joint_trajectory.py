@@ -87,10 +87,8 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
 
 
 def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
-    """Read column names and numbers (T, columns) of a trajectory written here.
-
-    Raises:
-        FileFormatError: missing, or not a table of numbers whose first column is `time`.
+    """Read column names and numbers (T, columns) of a trajectory written here; `FileFormatError`: missing, or not a
+    table of numbers whose first column is `time`.
     """
     columns = read_csv(Path(path))
     table = np.stack(list(columns.values()), axis=-1)

@@ -48,10 +48,8 @@ class SensorTable:
 
 
 def read_joints(path: str | Path, width: int) -> JointTable:
-    """Read names and then a line for each frame: 3 numbers per joint for positions, 4 for orientations.
-
-    Raises:
-        FileFormatError: unreadable, cut off, or not such a table; names the line.
+    """Read names and then a line for each frame: 3 numbers per joint for positions, 4 for orientations;
+    `FileFormatError`, which names the line: unreadable, cut off, or not such a table.
     """
     path = Path(path)
     header, *lines = _lines(path)
@@ -77,9 +75,7 @@ def read_joints(path: str | Path, width: int) -> JointTable:
 
 def read_sensors(path: str | Path) -> SensorTable:
     """Read orientation and specific force of all sensors; further columns (gyroscope, ...) are ignored.
-
-    Raises:
-        FileFormatError: unreadable, cut off, other frames than announced, or sensors that change.
+    `FileFormatError`: unreadable, cut off, other frames than announced, or sensors that change.
     """
     path = Path(path)
     first, *lines = _lines(path)
@@ -140,10 +136,8 @@ def read_sensor_log(path: Path, **declared: Any) -> SensorLog:
 
 
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:
-    """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``.
-
-    Raises:
-        FileFormatError: unreadable, cut off, or a quaternion that is not of unit norm.
+    """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``; `FileFormatError`:
+    unreadable, cut off, or a quaternion that is not of unit norm.
     """
     path = Path(path)
     first, *lines = _lines(path)
@@ -171,10 +165,8 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
 
 
 def read_cameras(path: str | Path) -> dict[int, Camera]:
-    """Read cameras by number from 1, in the dataset's own world (y up, metres).
-
-    Raises:
-        FileFormatError: unreadable, cut off, or numbers that make no camera.
+    """Read cameras by number from 1, in the dataset's own world (y up, metres); `FileFormatError`: unreadable, cut off,
+    or numbers that make no camera.
     """
     path = Path(path)
     cells = " ".join(_lines(path)).split()

@@ -27,10 +27,8 @@ METRES: Final = {"m": 1.0, "mm": 0.001, "cm": 0.01}
 
 
 def world_of_file(up: str, metres_per_unit: float = 1.0) -> Array:
-    """Return R_world_file (3, 3) of a file whose axis `up`, a key of `UP`, points up; its unit is only checked.
-
-    Raises:
-        InvalidInputError: there is no such axis, or the length is not positive.
+    """Return R_world_file (3, 3) of a file whose axis `up`, a key of `UP`, points up, and whose unit is positive, m;
+    else `InvalidInputError`.
     """
     if up not in UP:
         raise InvalidInputError(f"up: {up!r} is no axis; give one of {', '.join(UP)}")

@@ -218,10 +218,9 @@ class MotionLikelihood:
         return _summed(gain * signal / (1 + signal), _ACCELERATION_MEMORY) * _EVERY
 
     def _acceleration(self, motion: SegmentMotion, joint: str) -> Array:
-        """Return (T / _EVERY, 3), m/s^2, of a joint at one end of the sensor's segment, smoothed.
-
-        The sensor's own plus the second central difference of the arm to the joint, which averages as
-        `BoneImuSequence.resample` does. NaN near gaps.
+        """Return (T / _EVERY, 3), m/s^2, of a joint at one end of the sensor's segment, smoothed: the sensor's own plus
+        the second central difference of the arm to the joint, which averages as `BoneImuSequence.resample` does. NaN
+        near gaps.
         """
         known = self._accelerations.setdefault(motion, {})
         if joint not in known:
@@ -307,9 +306,8 @@ def _summed(values: Array, memory: float) -> float:
 
 @cache
 def _sampled_poses(names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000) -> tuple[Array, Array]:
-    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later.
-
-    In that moment every joint moves by a hundredth of another draw from the prior.
+    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later, in which every joint
+    moves by a hundredth of another draw from the prior.
     """
     prior = shipped_prior(names)
     rng = np.random.default_rng(0)
@@ -343,6 +341,14 @@ class Headings:
 def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """Estimate a heading for each of S sensors calibrated in a pose, R_world_bone (S, 3, 3) of their segments, with
     headings 0.
+
+    In the pose, at time 0, they are right for any heading h of their reference::
+
+        R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
+
+    h changes the axis in the body about which the segment rotates afterwards; an axis that is vertical in the pose does
+    not determine it. The likelihood is maximised exactly on a grid of headings over the tree of compared pairs
+    (max-product, Pearl 1988), then refined.
     """
     turned = _Turned(likelihood, motions, R_pose)
     angles = turned.best_on_grid()

@@ -2,6 +2,9 @@
 
 Laidig and Seel, Information Fusion 91 (2023), in the library of its authors. The offline filter uses the
 past and the future of each sample, the causal one only the past.
+
+Axes of a phone, with the screen towards the viewer: x to the right, y up, z out of the screen, as Android and iOS
+define them; the camera at its back looks along -z.
 """
 
 from __future__ import annotations
@@ -45,14 +48,9 @@ _DEFAULT = OrientationSettings()
 
 
 def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFAULT) -> SensorStream:
-    """Estimate the orientation of a stream by VQF.
-
-    Returns:
-        The stream with R_inertial_sensor in a reference with z up, NaN in long gaps; without magnetometer
-        its heading is arbitrary. Its notes describe the estimate.
-
-    Raises:
-        InvalidInputError: a channel is missing, or there are too few samples.
+    """Estimate the orientation of a stream by VQF: R_inertial_sensor in a reference with z up, NaN in long gaps;
+    without magnetometer its heading is arbitrary. Its notes describe the estimate. `InvalidInputError`: a channel is
+    missing, or there are too few samples.
     """
     f, w, m = stream.f_sensor, stream.w_sensor, stream.m_sensor
     where = f"sensor {stream.name}"
@@ -81,7 +79,10 @@ def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFA
 def log_with_orientation(
     log: SensorLog, names: Sequence[str] | None = None, settings: OrientationSettings = _DEFAULT
 ) -> SensorLog:
-    """Estimate the orientation of sensors of a log by VQF, by default of those without.
+    """Estimate the orientation of sensors of a log by VQF.
+
+    Args:
+        names: of those to estimate; None: of those without orientation.
 
     Raises:
         UnknownNameError: unknown sensor. InvalidInputError: as in `with_orientation`.
@@ -229,12 +230,9 @@ def _summed(stream: SensorStream) -> Array:
 
 
 def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
-    """Find how a phone was held and the time between its clock and the video's.
-
-    Angular velocities of both are correlated over all lags with an overlap of two seconds.
-
-    Raises:
-        InvalidInputError: no gyroscope, or less than two seconds of either.
+    """Find how a phone was held and the time between its clock and the video's: angular velocities of both are
+    correlated over all lags with an overlap of two seconds. `InvalidInputError`: no gyroscope, or less than two seconds
+    of either.
     """
     if stream.w_sensor is None:
         raise InvalidInputError(f"sensor {stream.name} has no gyroscope; a camera's turning needs one")

@@ -214,6 +214,10 @@ def check_form(imus: ImuSequence, R_world_inertial: Array) -> tuple[Check, ...]:
     """Check that sensors are alive and that their samples have the form of a recording, by R_world_inertial (S, 3, 3)
     of their calibration: one check of repeated samples and one of gravity; a failed one names the sensors and the
     cause.
+
+    Orientations map sensor axes to their reference (from quaternions w, x, y, z), and specific force is raw: so the
+    mean of ``R_world_inertial R_inertial_sensor f_sensor`` points up with the size of gravity, but for the change of
+    velocity over the time. Each usual mistake is undone on the same numbers; the one under which this holds is named.
     """
     repeats = np.pad(repeated_samples(imus), ((1, 0), (0, 0)))
     return _check_frozen(imus, repeats), _check_gravity(imus, R_world_inertial, repeats)

@@ -42,11 +42,9 @@ _OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
-    """Check all sensors of a file, which share one declaration.
-
-    Returns:
-        For each sensor the laws, then clock and channels. `Check.likely` of a failed law is the change of
-        the declaration under which all failing sensors obey, if there is a single one.
+    """Check all sensors of a file, which share one declaration: for each the laws, then clock and channels.
+    `Check.likely` of a failed law is the change of the declaration under which all failing sensors obey, if there is a
+    single one.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers give infinite figures, which fail
         return _check(log.streams, log.declaration)

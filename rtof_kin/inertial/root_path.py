@@ -87,6 +87,9 @@ def detect_contacts(
 ) -> Contacts:
     """Detect standing feet.
 
+    A foot stands while its ankle hardly accelerates (zero-velocity detection; Skog et al. 2010), its segment hardly
+    rotates and it is not above the other foot.
+
     Args:
         poses: (T, J) with finite orientations; its root may be anywhere.
         bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's.

@@ -81,11 +81,7 @@ def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]
 
 
 def known_segment(name: str, skeleton: SkeletonModel, path: str | Path | None = None) -> str:
-    """Return the segment that a name means, see `segment_of`.
-
-    Raises:
-        UnknownNameError: it means none.
-    """
+    """Return the segment that a name means, see `segment_of`; `UnknownNameError` where it means none."""
     found = segment_of(name, skeleton)
     if found is None:
         words = (*_MIDDLE, *(f"{side} {place}" for side in ("left", "right") for place in _LIMBS))

@@ -56,10 +56,8 @@ _log = logging.getLogger(__name__)
 
 
 def read_camera(table: CameraTable) -> Camera:
-    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file;
+    `FileFormatError`, `UnknownNameError` and `UnitError` name file, field and remedy.
     """
     if table.file is None:
         camera = _declared_camera(table)
@@ -157,13 +155,8 @@ def _number_of(value: float, unit: float) -> float:
 def filmed_stream(
     camera: CameraTable, keypoints: KeypointsTable, skeleton: SkeletonModel, source: Source
 ) -> tuple[Stream[KeypointSequence], str]:
-    """Read a camera and open its keypoints; those of a camera that turns are stabilised.
-
-    Returns:
-        The keypoints, and a note about the turning, empty without one.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Read a camera and open its keypoints; those of a camera that turns are stabilised, and a note, else empty, says
+    so. Errors as `read_camera`.
     """
     seen = read_camera(camera)
     found = _keypoint_stream(keypoints, seen, skeleton, source)

@@ -33,17 +33,8 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
-from rtof_kin.recording.index import (
-    INDEX,
-    SCHEMA_VERSION,
-    SKELETONS,
-    TRUTH,
-    Session,
-    body_of,
-    index_of,
-    read_index,
-    shipped,
-)
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.streams import ALL, OnDisk, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
@@ -226,7 +217,11 @@ class Recording(RecordingSource):
         return self.cut(self.streams, start_s, stop_s)
 
     def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval, s; see `between`."""
+        """Return what was recorded in a closed interval; see `between`.
+
+        Args:
+            start_s, stop_s: first and last instant, s.
+        """
         parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
         if parts["keypoints"] is None and parts["imus"] is None:
             raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
@@ -243,7 +238,10 @@ class Recording(RecordingSource):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read a folder that has a file ``recording.toml``.
+        """Read a recording folder.
+
+        Args:
+            folder: that has a file ``recording.toml``.
 
         Raises:
             FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
@@ -361,7 +359,10 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a folder that has a file ``recording.toml``; to be closed after use.
+        """Open a recording's folder; to be closed after use.
+
+        Args:
+            folder: that has a file ``recording.toml``.
 
         Raises:
             FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.

@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis
 from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis
+from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.array_types import Array
@@ -50,6 +50,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
 from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, subplots, write_files
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
+from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:
@@ -92,22 +93,6 @@ class _Series:
             values = np.asarray(self.values(frames), dtype=float).tolist()
             for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), start):
                 yield [time, *([] if self.words is None else [self.words(t)]), *_rounded(row)]
-
-
-@dataclass(frozen=True)
-class AnalysisSettings:
-    """What is analysed."""
-
-    weight_kg: float | None = None
-    """Body mass, kg, for joint torques; default: that of the recording."""
-    sex: Literal["male", "female"] | None = None
-    """Sex of the subject, of the tables of body mass."""
-    height: float | None = None
-    """Standing height, m, that the size of the skeleton is checked with."""
-    repetitions: Kind | None = None
-    """Movement that is counted."""
-    from_standing: bool = False
-    """Angles of trunk and legs relative to half a second or more of the person's quiet standing."""
 
 
 def write_analysis(

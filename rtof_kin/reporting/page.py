@@ -25,7 +25,7 @@ from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
     SECTIONS,

@@ -33,7 +33,7 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.angle_names import SECOND_SHOULDER, label, plain_words
 from rtof_kin.reporting.audit_results import Grade, Headline
 from rtof_kin.reporting.clinical_findings import NO_BANDS, SECOND_PELVIS, WIDEST

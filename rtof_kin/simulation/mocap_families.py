@@ -95,11 +95,7 @@ def _family(name: str, row: dict[str, Any], table: dict[str, Any]) -> Family:
 
 
 def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
-    """Return the family of a skeleton.
-
-    Raises:
-        FileFormatError: an unknown skeleton, or one that lacks a joint of its family.
-    """
+    """Return the family of a skeleton; `FileFormatError` where it is unknown, or lacks a joint of its family."""
     family = _candidate(motion)
     if family is None:
         raise FileFormatError(

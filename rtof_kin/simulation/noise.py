@@ -184,10 +184,8 @@ def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: 
 
 
 def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Array:
-    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames.
-
-    Episodes start at the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected
-    share is exact.
+    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames. They start at
+    the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected share is exact.
     """
     out = np.zeros((len(times), L, 2))
     shortest, longest = noise.outlier_duration
@@ -281,6 +279,10 @@ def simulate_imus(
     rng: Generator, poses: PoseSequence, skeleton: SkeletonModel, sensors: Sequence[str], times: Array, noise: ImuNoise
 ) -> tuple[ImuSequence, ImuCalibration]:
     """Simulate the samples of sensors on a body, and their calibration, exact but for the misalignment.
+
+    A sensor has its usual position on its segment, a random mounting and heading. Its specific force is
+    ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint + R_world_bone lever``.
+    Slip rotates the sensor on the segment, so that orientation and acceleration stay consistent in sensor axes.
 
     Args:
         rng: source of randomness; a subset of the sensors has the same errors as the whole set.

@@ -108,10 +108,9 @@ class SimulationSettings:
 
     @classmethod
     def independent(cls) -> Self:
-        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs.
-
-        Each joint has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is
-        late by 1 to 4 frames. Real detectors' errors are correlated and depend on the view (`realistic`).
+        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs. Each joint
+        has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is late by 1 to 4 frames.
+        Real detectors' errors are correlated and depend on the view (`realistic`).
         """
         return cls(keypoints=KeypointNoise(), video_lag_frames=(1.0, 4.0))
 
@@ -241,10 +240,9 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
 
 
 def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
-    """Return the benchmark's four cameras around a motion, about 90 degrees apart.
-
-    1920 x 1080, f = 1250 px, 0.8-2.6 m high, aimed at the middle of the motion from 3-6 m away, or from
-    further where less than nine tenths of it would be in view.
+    """Return the benchmark's four cameras around a motion, about 90 degrees apart: 1920 x 1080, f = 1250 px, 0.8-2.6 m
+    high, aimed at the middle of the motion from 3-6 m away, or from further where less than nine tenths of it would be
+    in view.
     """
     rng = np.random.default_rng(seed)
     p = poses.p_world_joint[np.isfinite(poses.p_world_joint).all(axis=(1, 2))]
@@ -335,16 +333,10 @@ _DOT_COLUMNS: Final = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,
 
 
 def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
-    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them.
-
-    The sensors' files are those of Movella DOTs, one per sensor, named by a letter and a number. Mounting,
-    headings and the time between the two clocks are in none of the files.
-
-    Args:
-        overwrite: replace what this wrote there earlier.
-
-    Raises:
-        InvalidInputError: there are no keypoints. OutputExistsError: `folder` may not be replaced.
+    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them; `overwrite`
+    replaces what this wrote earlier. The sensors' files are those of Movella DOTs, one per sensor, named by a letter
+    and a number. Mounting, headings and the time between the two clocks are in none of the files. `InvalidInputError`:
+    no keypoints; `OutputExistsError`: `folder` may not be replaced.
     """
     keypoints = recording.video
     columns = {"time": keypoints.times}

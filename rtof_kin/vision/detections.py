@@ -89,8 +89,10 @@ class Detections:
     def of_frames(
         cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
-        """Create detections from the people of each frame by number, at times (T,), s; frames without an entry are
-        empty.
+        """Create detections from the people of each frame.
+
+        Args:
+            frames: frame number -> people; frames without an entry are empty. times: (T,) s.
 
         Raises:
             InvalidInputError: no people, different numbers of points, or too much data.
@@ -122,8 +124,10 @@ class Detections:
         return np.asarray((self.confidence > 0).any(axis=-1))
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
-        """Return detections in pixels; coordinates up to 3 are fractions of the image size, without which is
-        `InvalidInputError`.
+        """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
+
+        Raises:
+            InvalidInputError: the image size is missing.
         """
         largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
         if largest > _LARGEST_RELATIVE:
@@ -286,12 +290,9 @@ def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Ar
 
 
 def read_pixel_trc(path: Path) -> Detections:
-    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it.
-
-    Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
-
-    Raises:
-        FileFormatError: unreadable, in metres, or of markers that are no detector's points.
+    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it; its header says metres. Points
+    of the layout that its markers belong to and that it lacks are missing. `FileFormatError`: unreadable, in metres, or
+    of markers that are no detector's points.
     """
     markers = read_trc(path, up="z")
     uv = markers.p_world[..., :2]

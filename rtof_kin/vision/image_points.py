@@ -84,10 +84,8 @@ class DetectorPoint:
 
 
 def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
-    """Return the points of a detector's layout that are used as measurements, by name.
-
-    Raises:
-        UnknownNameError: unknown layout.
+    """Return the points of a detector's layout that are used as measurements, by name; `UnknownNameError` for
+    others.
     """
     return _shipped_points(detector_table().layout(layout))
 
@@ -98,10 +96,8 @@ def _shipped_points(layout: Layout) -> Mapping[str, DetectorPoint]:
 
 
 def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoint]:
-    """Read the points of a layout of the shipped table of detectors.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind. UnknownNameError: unknown layout.
+    """Read the points of a layout of the shipped table; `FileFormatError` where the file is not TOML or a field is
+    missing or of the wrong kind, `UnknownNameError` for an unknown layout.
     """
     path = Path(path)
     data, names = load_toml(path), detector_table().layout(layout).points

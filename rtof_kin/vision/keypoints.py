@@ -102,10 +102,8 @@ def keypoints_from_detections(
     frame: int | None = None,
 ) -> DetectedKeypoints:
     """Compute keypoints of one person from detections in memory at times (T,), s; see `read_detector_keypoints`.
-
-    Raises:
-        InvalidInputError: unrecognised layout, no such person, or points outside the camera's image.
-        UnknownNameError: unknown `layout`.
+    `InvalidInputError`: unrecognised layout, no such person, or points outside the camera's image; `UnknownNameError`:
+    unknown `layout`.
     """
     regression = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)

@@ -46,8 +46,11 @@ class Layout:
 
     @classmethod
     def of(cls, name: str, title: str, names: Iterable[str], points: Mapping[str, str] | None = None) -> Self:
-        """Return the layout of points in a detector's own words (``left_big_toe``, ``LBigToe``); `points`: which point
-        of the table each is, where its name does not say it.
+        """Return the layout of points in a detector's own words.
+
+        Args:
+            names: K names of the points (``left_big_toe``, ``LBigToe``).
+            points: which point of the table each is, where its name does not say it.
         """
         names, renamed = tuple(map(str, names)), points or {}
         return cls(name, title, names, tuple(str(renamed.get(n, _canonical(n))) for n in names))
@@ -56,8 +59,10 @@ class Layout:
         return len(self.names)
 
     def order(self, names: Sequence[str]) -> list[int] | None:
-        """Return the index of each of the K points among names in any order and spelling (``LBigToe``,
-        ``left_big_toe``), or None if one is missing.
+        """Return the index of each of the K points among names, or None if one is missing.
+
+        Args:
+            names: in any order and spelling (``LBigToe``, ``left_big_toe``).
         """
         given = [_canonical(name).lower() for name in names]
         wanted = [_canonical(name).lower() for name in self.names]
@@ -106,10 +111,8 @@ def _canonical(name: str) -> str:
 
 
 def is_detector_point(name: str) -> bool:
-    """Return whether a name in a `KeypointSequence` is that of a detector's own point.
-
-    Raises:
-        UnknownNameError: the layout has no such point, or there is no such layout.
+    """Return whether a name in a `KeypointSequence` is that of a detector's own point; `UnknownNameError` where the
+    layout has no such point, or there is no such layout.
     """
     layout, point = layout_and_point(name)
     if layout and point not in (known := detector_table().layout(layout).points):
@@ -151,10 +154,8 @@ def add_layout(layout: Layout) -> None:
 
 
 def detector_table() -> DetectorTable:
-    """Return the shipped table with the layouts that were added.
-
-    Raises:
-        ExtensionError, InvalidInputError, UnknownNameError: that of an installed package cannot be used.
+    """Return the shipped table with the layouts that were added; `ExtensionError`, `InvalidInputError` or
+    `UnknownNameError` where that of an installed package cannot be used.
     """
     return _extended(ADDED.all())
 
@@ -181,11 +182,8 @@ def _shipped_table() -> DetectorTable:
 
 
 def read_detector_table(path: str | Path) -> DetectorTable:
-    """Read and check a table of detectors' layouts.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a duplicate name.
-        UnknownNameError: unknown point, or unknown joint or landmark of the shipped skeleton.
+    """Read and check a table of detectors' layouts. `FileFormatError`: not TOML, a field missing or of the wrong kind,
+    a duplicate name; `UnknownNameError`: unknown point, or unknown joint or landmark of the shipped skeleton.
     """
     path = Path(path)
     data = load_toml(path)

@@ -35,10 +35,8 @@ _MOST_MEMBERS: Final = 10_000
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
-    """Check that an archive whose arrays have at most `limit` bytes does not exhaust the memory.
-
-    Raises:
-        FileFormatError: it is too large, or large and compressed beyond any recording.
+    """Raise `FileFormatError` for an archive of more than `limit` bytes, or large and compressed beyond any
+    recording.
     """
     full = sum(member.file_size for member in members)
     if full > limit:
@@ -53,10 +51,8 @@ def check_ratio(path: Path, full: int, packed: int) -> None:
 
 
 def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Return the members of an archive of arrays by the name of the array.
-
-    Raises:
-        FileFormatError: an array twice, of which readers differ in the one they take; or too many.
+    """Return the members of an archive of arrays by the name of the array; `FileFormatError` for an array twice, of
+    which readers differ in the one they take, or too many.
     """
     members = archive.infolist()
     number = len(members)
@@ -77,13 +73,8 @@ _CSV = "a CSV file; its first line names the columns"
 
 
 def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | None = None) -> dict[str, Array]:
-    """Return arrays of an .npz file as float64, by name.
-
-    Args:
-        limit: largest total size of the arrays, bytes. names: of the arrays; None: all.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or numbers of another type or magnitude.
+    """Return arrays of an .npz file, all or the named ones, as float64, by name; `FileFormatError` where there is no
+    such file, or it is damaged, larger than `limit` bytes, or has numbers of another type or magnitude.
     """
     saved = read_npz_as_saved(path, limit, names=names)
     return {name: _as_floats(path, name, array) for name, array in saved.items()}
@@ -92,14 +83,8 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | No
 def read_npz_as_saved(
     path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub", names: Collection[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays of an .npz file, read-only, in their own types, by name.
-
-    Args:
-        limit: largest total size of the arrays, bytes. kinds: allowed types, by NumPy's letters; U is text.
-        names: of the arrays; None: all.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or an array of another kind.
+    """Return arrays of an .npz file, all or the named ones, read-only, in their own types, by name; errors as
+    `read_npz`, also for other kinds than those allowed, by NumPy's letters; U is text.
     """
     arrays: dict[str, NDArray[Any]] = {}
     with _open_npz(path) as archive:
@@ -161,11 +146,7 @@ def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
-    """Return the array of an .npy file of at most `limit` bytes as float64.
-
-    Raises:
-        FileFormatError: see `read_npz`.
-    """
+    """Return the array of an .npy file of at most `limit` bytes as float64; errors as `read_npz`."""
     try:
         check_file(path, "an array", limit)
         with path.open("rb") as stream:
@@ -237,11 +218,7 @@ def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
-    """Write arrays to a compressed .npz file.
-
-    Raises:
-        OutputExistsError: it exists. WritingError: it cannot be written.
-    """
+    """Write arrays to a compressed .npz file; errors as `core.files.folder.new_file`."""
     contents: dict[str, Any] = dict(arrays)
     with new_file(path, overwrite) as whole, whole.open("wb") as stream:
         np.savez_compressed(stream, **contents)
@@ -249,9 +226,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 
 def read_csv(path: Path) -> dict[str, Array]:
     """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
-
-    Raises:
-        FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
+    `FileFormatError`: no such file, no header, a line of another length, a cell that is not a number.
     """
     text = read_text(path, _CSV, _LARGEST_CSV)
     (columns,) = _tables(path, io.StringIO(text, newline=""), None)
@@ -329,11 +304,7 @@ class ScratchArrays:
         self._files: dict[str, IO[bytes]] = {}
 
     def append(self, arrays: Mapping[str, Array]) -> None:
-        """Write further rows (n, ...) float64 by name.
-
-        Raises:
-            WritingError: they cannot be written.
-        """
+        """Write further rows (n, ...) float64 by name; `WritingError` where they cannot be written."""
         try:
             for name, array in arrays.items():
                 if name not in self._files:

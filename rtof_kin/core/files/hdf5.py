@@ -30,7 +30,10 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits."""
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
+
+    The zero bytes of numbers with no more digits than needed vanish in a compressed file.
+    """
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 
@@ -191,10 +194,8 @@ class ArrayFile:
     """
 
     def __init__(self, path: Path):
-        """Open the file; an .npz is read whole.
-
-        Raises:
-            FileFormatError: no such file, damaged, too large, or anything else than arrays of numbers in it.
+        """Open the file; an .npz is read whole. `FileFormatError`: no such file, damaged, too large, or anything else
+        than arrays of numbers in it.
         """
         self.path = path
         self._arrays: dict[str, Any] = {}
@@ -231,10 +232,8 @@ class ArrayFile:
             self._file.close()
 
     def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
-        """Return rows of an array.
-
-        Raises:
-            KeyError: there is no such array. FileFormatError: damaged, or a number beyond any measurement.
+        """Return rows of an array; KeyError where there is no such array, `FileFormatError` where it is damaged or has
+        a number beyond any measurement.
         """
         array = self._arrays[name]
         with self._reading(name):
@@ -244,22 +243,14 @@ class ArrayFile:
         return found
 
     def whole(self, name: str) -> NDArray[Any]:
-        """Return an array of at most 512 MiB.
-
-        Raises:
-            KeyError: there is no such array. FileFormatError: see `rows`, or it is larger.
-        """
+        """Return an array of at most 512 MiB; a larger one is a `FileFormatError`, else errors as `rows`."""
         array = self._arrays[name]
         if array.size * array.dtype.itemsize > _LARGEST_WHOLE:
             raise FileFormatError(self.path, f"{name}: larger than {_LARGEST_WHOLE / 2**20:.0f} MiB")
         return self.rows(name, 0, len(array))
 
     def text(self, name: str) -> str:
-        """Return a text of `Hdf5Writer.add_text`, or of an .npz file.
-
-        Raises:
-            KeyError: there is none. FileFormatError: see `whole`.
-        """
+        """Return a text of `Hdf5Writer.add_text`, or of an .npz file; errors as `whole`."""
         if name in self.attributes:
             return str(self.attributes[name])
         return self.whole(name).tobytes().decode()

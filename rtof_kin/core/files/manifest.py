@@ -33,11 +33,8 @@ class Contents:
 def write_manifest(
     folder: Path, kind: str, inputs: Mapping[str, str] | None = None, paths: Iterable[Path] | None = None
 ) -> None:
-    """Sync all files of a new folder, of this user alone, to the disk and list them in its manifest.
-
-    Args:
-        folder: contains only files of this package.
-        paths: files to list in a folder that contains others too; None: everything in it.
+    """Sync all files of a new folder, of this user alone and of this package, to the disk and list them in its
+    manifest; in a folder that contains others too, those of `paths`.
     """
     files = {}
     for path in sorted(folder.rglob("*") if paths is None else paths):
@@ -95,10 +92,7 @@ def made_from(folder: Path) -> dict[str, str]:
 
 def fingerprint(*parts: object) -> str:
     """Return a SHA-256 of files and folders (`Path`, with all contents but manifests), and of other values by their
-    text.
-
-    Raises:
-        OSError: a file cannot be read.
+    text; OSError where a file cannot be read.
     """
     whole = hashlib.sha256()
     for part in parts:
@@ -139,10 +133,8 @@ def make_folders(path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file or folder to the disk; a folder is skipped where the system cannot sync it.
-
-    Raises:
-        OSError: it cannot be written, e.g. the disk is full.
+    """Sync a file or folder to the disk (OSError, e.g. if full); a folder is skipped where the system cannot sync
+    it.
     """
     folder = path.is_dir()
     with suppress(OSError) if folder else nullcontext():  # Windows does not open folders

@@ -82,9 +82,7 @@ class _PlainUnpickler(pickle._Unpickler):  # the one written in Python: no index
 
 def read_pickle(path: str | Path, limit: int = 2**26) -> Any:
     """Read a pickle of dictionaries, lists, text, numbers and arrays, of at most `limit` bytes; nothing is executed.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or it names or holds anything else.
+    `FileFormatError`: no such file, damaged, too large, or it names or holds anything else.
     """
     path = Path(path)
     check_file(path, "a pickle of plain data", limit)
@@ -93,9 +91,7 @@ def read_pickle(path: str | Path, limit: int = 2**26) -> Any:
 
 def read_object_npz(path: Path, names: tuple[str, ...], limit: int = LARGEST_BYTES) -> list[Any]:
     """Read members, of at most `limit` bytes in all, that NumPy saved as pickles of one object; nothing is executed.
-
-    Raises:
-        FileFormatError: no such file or member, damaged, too large, or a pickle that names anything else.
+    `FileFormatError`: no such file or member, damaged, too large, or a pickle that names anything else.
     """
     check_file(path, "an NPZ archive")
     try:

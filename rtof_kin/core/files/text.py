@@ -26,11 +26,8 @@ LARGEST_NUMBER = 1e20
 
 
 def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
-    """Check that a path is a regular file of at most `limit` bytes, not a folder, device or pipe; `what`: see
-    `read_text`.
-
-    Raises:
-        FileFormatError: it does not exist, is of another kind or larger. OSError: it is not accessible.
+    """Check that a path is a regular file of at most `limit` bytes, not a folder, device or pipe, else
+    `FileFormatError`; OSError where it is not accessible. `what`: see `read_text`.
     """
     path = Path(path)
     if not path.is_file():
@@ -41,14 +38,9 @@ def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
 
 
 def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
-    """Return the text of a UTF-8 file without byte order mark.
-
-    Args:
-        limit: largest size, bytes.
-        what: expected contents, for the error message, e.g. "a BVH file, which begins with HIERARCHY".
-
-    Raises:
-        FileFormatError: it does not exist, is unreadable, too large, not UTF-8 or empty.
+    """Return the text of a UTF-8 file of at most `limit` bytes without byte order mark. `FileFormatError`, with what
+    was expected, e.g. "a BVH file, which begins with HIERARCHY": it does not exist, is unreadable, too large, not UTF-8
+    or empty.
     """
     path = Path(path)
     try:

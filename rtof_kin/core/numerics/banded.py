@@ -49,11 +49,7 @@ class Factor:
         return np.asarray(x.reshape(right.shape))
 
     def forward_columns(self, right: Array) -> Array:
-        """Return the inverse of the factor L times right-hand sides (n, k): half of a solution.
-
-        Raises:
-            SolverError: `right` has another number of rows.
-        """
+        """Return the inverse of the factor L times right-hand sides (n, k), else `SolverError`: half of a solution."""
         if right.ndim != 2 or len(right) != self.band.shape[1]:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
         if right.size == 0:
@@ -67,13 +63,8 @@ class Factor:
         return np.asarray(x)
 
     def blocks(self, size: int, lags: int) -> Array:
-        """Return the blocks (N, lags, size, size) of the factor L; L L^T is the matrix.
-
-        Args:
-            lags: a block is coupled with the next lags - 1.
-
-        Returns:
-            Element [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
+        """Return the blocks (N, lags, size, size) of the factor L, where L L^T is the matrix and a block is coupled
+        with the next lags - 1: [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
         """
         width, unknowns = self.band.shape
         band, frames = width - 1, unknowns // size
@@ -112,10 +103,8 @@ def inverse_diagonal(factor: Array) -> Array:
 
 
 def factorise(band: Array) -> Factor:
-    """Factorise a positive definite matrix (n, w) in place; row c is column c from its diagonal downwards.
-
-    Raises:
-        SolverError: the matrix is not positive definite.
+    """Factorise a positive definite matrix (n, w), else `SolverError`, in place; row c is column c from its diagonal
+    down.
     """
     factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
     if info or not np.isfinite(factor[0]).all():

@@ -262,10 +262,9 @@ class LevenbergMarquardt:
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
-        """Return updated multipliers, and the largest violation of a limit or of complementarity, rad.
-
-        A multiplier changes by the stiffness times the violation of its limit, or times the slack of an inactive limit
-        with a multiplier.
+        """Return updated multipliers, and the largest violation of a limit or of complementarity, rad. A multiplier
+        changes by the stiffness times the violation of its limit, or times the slack of an inactive limit with a
+        multiplier.
         """
         pushed = self._pushed(x, m)
         new = np.zeros_like(m) if pushed is None else STIFFNESS * pushed

@@ -44,14 +44,8 @@ class Packets:
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
-    """Sort packets by a counter that wraps.
-
-    Args:
-        counters: (N,) as in the file. lines: (N,) their lines.
-        wrap: the first number that the counter cannot show, e.g. 2**16. what: the counter's name in the file.
-
-    Raises:
-        FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
+    """Sort packets by a counter (N,) that wraps: `wrap` is the first number that it cannot show, e.g. 2**16.
+    `FileFormatError`, which names line and counter: no whole number, out of range, not counting, or restarted.
     """
     wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
     if wrong.any():
@@ -111,11 +105,8 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
 
 
 def aligned(first: Sequence[int], wrap: int) -> list[int]:
-    """Return what to add to each sensor's counts so that all begin within half a wrap of the first one.
-
-    Args:
-        first: count of each sensor's first packet; in one trial one may have 65535 and another 0.
-        wrap: the first number that the counters cannot show.
+    """Return what to add to each sensor's counts, which wrap at `wrap`, so that all begin within half a wrap of the
+    first packet of the first one; in one trial one may have 65535 and another 0.
     """
     return [wrap * round((first[0] - one) / wrap) for one in first]
 
@@ -190,7 +181,10 @@ def sensor_log(
     file_notes: Iterable[str] = (),
     start_utc: datetime | None = None,
 ) -> SensorLog:
-    """Make the log of one trial, whose earliest sample has `start_utc`, if the files state it.
+    """Make the log of one trial.
+
+    Args:
+        start_utc: of the earliest sample, if the files state it.
 
     Raises:
         FileFormatError: no sensor, a name twice, or invalid numbers.

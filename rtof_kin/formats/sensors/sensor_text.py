@@ -60,9 +60,7 @@ class SensorTable:
 
 def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, str]]:
     """Yield the lines of a text file of at most `limit` bytes with their numbers from 1, one at a time.
-
-    Raises:
-        FileFormatError: no such file, too large, binary, not UTF-8, or a line too long.
+    `FileFormatError`: no such file, too large, binary, not UTF-8, or a line too long.
     """
     try:
         if path.stat().st_size > limit:
