@@ -182,10 +182,8 @@ def _firm(covariance: Array) -> Array:
 
 
 def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the prior of motions of several rigs: with an even spine and clavicles that follow the arms.
-
-    Args:
-        mean: (J - 1, 3, 3). covariance: (3 (J - 1), 3 (J - 1)) of rotation vectors.
+    """Return the prior of motions of several rigs: with an even spine and clavicles that follow the arms; `mean`: (J -
+    1, 3, 3); `covariance`: (3 (J - 1), 3 (J - 1)) of rotation vectors.
     """
     return _with_moving_clavicles(names, *_with_even_spine(names, mean, covariance))
 

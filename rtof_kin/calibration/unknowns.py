@@ -458,10 +458,8 @@ class Posture(Isotropic):
 
     @classmethod
     def of(cls, turning: Sequence[str], sigma: float) -> Self:
-        """Return the posture of the joints of a `NeutralPosture` that turn.
-
-        Args:
-            turning: joints of the problem, root first (`StateSpace.names`). sigma: rad per axis.
+        """Return the posture of the joints of a `NeutralPosture` that turn; `turning`: joints of the problem, root
+        first (`StateSpace.names`); `sigma`: rad per axis.
         """
         items = tuple(joint for joint in JOINTS if joint in turning[1:])
         return cls(items, tuple(turning.index(joint) - 1 for joint in items), sigma)

@@ -30,11 +30,8 @@ from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStat
 
 
 def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
-    """Return some frames of a reconstruction, with their errors, faults, fragments and warnings.
-
-    Args:
-        kept: its frames to keep.
-        first: number of its first frame in the whole recording, in which the fragments are counted afterwards.
+    """Return some frames of a reconstruction, with their errors, faults, fragments and warnings; `kept`: its frames to
+    keep; `first`: number of its first frame in the whole recording, in which the fragments are counted afterwards.
     """
     times = result.motion.times[kept]
     start, stop = float(times[0]), float(times[-1])

@@ -85,10 +85,8 @@ class Disagreement:
 def disagreement(
     solved: PoseSequence, start: PoseSequence, pairs: Sequence[tuple[str, str]], window: float = WINDOW
 ) -> Disagreement:
-    """Return the difference of two estimates.
-
-    Args:
-        pairs: of segments, as `Confidence.pairs`. window: averaged before and after a frame, s.
+    """Return the difference of two estimates; `pairs`: of segments, as `Confidence.pairs`; `window`: averaged before
+    and after a frame, s.
     """
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)
