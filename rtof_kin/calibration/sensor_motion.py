@@ -110,8 +110,6 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
     )
     if stream.f_sensor is None:
         return R[:, 0], w, np.full((len(times), 3), np.nan), D
-    assert stream.R_inertial_sensor is not None
-    assert stream.f_sensor is not None
     f = np.asarray(np.einsum("tij,tj->ti", stream.R_inertial_sensor, stream.f_sensor))
     f = signals.low_pass_known(stream.times, f, min(3 * _CUTOFF_HZ, 0.45 * stream.rate_hz))
     a = signals.interpolate(stream.times, f, times, _LONGEST_GAP) + GRAVITY_WORLD
