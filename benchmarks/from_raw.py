@@ -35,7 +35,8 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.init import SetupSettings, find_people, read_findings, write_recording
+from rtof_kin.setup.init import find_people, read_findings, write_recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.detector_errors import simulate_detections
 from rtof_kin.simulation.mocap import MocapClip

@@ -4,7 +4,7 @@ The benchmark's motions of held-out people and rigs (or those of the validation 
 validation``), realistic 2D of one of four cameras, which take turns, with 8 sensors and without. The range of
 each angle and its two ends are compared with those of the truth in the same frames; so are differences of
 range between the sides, the verdict on gait, and the way and turning of the pelvis. Only ranges that a report
-compares count (`summary_findings.is_comparable`), and with (all) every one that has a band. Five minutes of
+compares count (`summary_lines.is_comparable`), and with (all) every one that has a band. Five minutes of
 one core.
 """
 

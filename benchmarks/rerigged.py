@@ -5,7 +5,7 @@ its software does. What is known of that rig is put on free motion: the proporti
 package's skeleton, scaled to the person; one bend of the trunk, spread evenly over Spine to Spine3 about
 constant offsets; clavicles that follow the arms. The offsets are the person's neutral posture, drawn with
 the spread that real people of that rig have (5 degrees of pitch for each part of the spine). Pelvis, upper
-trunk, head and limbs move as in the original, whose joint centres define them (`body.shared_frames`).
+trunk, head and limbs move as in the original, whose joint centres define them (`body.kinematics.shared_frames`).
 """
 
 from __future__ import annotations

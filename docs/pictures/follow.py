@@ -13,7 +13,7 @@ import numpy as np
 
 from docs.pictures.studio import DOCS, Studio, save
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_mocap, resample_clip
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras

@@ -51,10 +51,16 @@ def match(
 ) -> Matching:
     """Sample assignments of each sensor to a segment of its own.
 
+    The scores add up to an assignment's log-probability. Metropolis-Hastings chains (Hastings 1970) move one sensor at
+    a time, exchanging it with the one that is there, by proposals in proportion to the probabilities of the outcomes
+    (locally informed, Zanella 2020), and now and then exchange the sides of whole limbs. They cool down before they
+    count, and start at the best assignment of the single scores (Jonker and Volgenant 1987) and at random ones.
+
     Args:
-        single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself. allowed:
-        (S, K) segments that each sensor may be on; at least one assignment is possible. mirrors: permutations (K,) of
-        segments that are proposed for all sensors at once. prior: log-probability (C,) of assignments (C, S), added.
+        single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself.
+        allowed: (S, K) segments that each sensor may be on; at least one assignment is possible.
+        mirrors: permutations (K,) of segments that are proposed for all sensors at once.
+        prior: log-probability (C,) of assignments (C, S), added.
     """
     S, K = single.shape
     single = np.where(np.ones((S, K), bool) if allowed is None else allowed, single, _IMPOSSIBLE)
@@ -316,6 +322,9 @@ def check_assignment(
     log: SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel, poses: PoseSequence | None = None
 ) -> AssignmentCheck:
     """Check that sensors are where they are declared. A map without errors is taken to be likelier.
+
+    The calibration is not used, so that neither a wrong mounting nor a wrong heading matters. How it has to change is
+    then chosen by the likelihood of the calibrated motion (`inertial.setup_diagnosis`).
 
     Args:
         log: the sensors; with poses, on their clock. joints: sensor -> segment, by its proximal joint;

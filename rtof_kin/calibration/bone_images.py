@@ -1,6 +1,7 @@
 """Offset between the clocks of video and sensors, from the rotation of the limbs.
 
-Directions of bones in the image and by the sensors are compared at every offset within a wide range.
+Directions of bones in the image and by the sensors are compared at every offset within a wide range, without solving
+for poses: a calibrated orientation gives the direction of a bone at every instant, the image its projection.
 Constant differences are removed, so constant errors of the calibration have no effect.
 """
 

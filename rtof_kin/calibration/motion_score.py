@@ -34,7 +34,13 @@ _W0, _A0 = 0.05, 0.1  # [rad/s], [m/s^2] added to sizes: rest
 
 
 def single_features(motions: SensorMotions) -> Array:
-    """Return features (S, F) of each sensor."""
+    """Return features (S, F) of each sensor.
+
+    Sizes and spectra of angular velocity and acceleration, changes of inclination, how planar the rotation is, and how
+    its vertical part goes with the rest (odd features: they mirror with the side of the body). Ideas: Weenk et al.
+    (2013), statistics by correlation and rank; Graurock, Schauer and Seel (2016), gait; Zimmermann, Taetz and Bleser
+    (2018), learned from motion capture.
+    """
     w, a = motions.w, motions.a
     w_h, w_z, a_h, a_z = np.hypot(w[..., 0], w[..., 1]), w[..., 2], np.hypot(a[..., 0], a[..., 1]), a[..., 2]
     speed, size = np.linalg.norm(w, axis=-1), np.linalg.norm(a, axis=-1)
@@ -104,7 +110,10 @@ def pair_features(motions: SensorMotions) -> Array:
 
 
 def _common_joint(motions: SensorMotions) -> tuple[Array, Array, Array, Array]:
-    """Fit the point that two sensors have in common.
+    """Fit the point that two sensors have in common, the joint of neighbouring segments.
+
+    After Seel, Schauer and Raisch (2012): one point fixed to both explains the accelerations of both. With orientations
+    this is linear least squares at every difference of headings.
 
     Returns:
         For pairs (S, S): log of the unexplained acceleration over that of the first sensor; log of it over
@@ -272,6 +281,10 @@ def image_scores(
     motions: SensorMotions, poses: PoseSequence, skeleton: SkeletonModel, segments: Sequence[str]
 ) -> Array:
     """Return the log-likelihood (S, K), nats, of each sensor's motion on each segment, up to a constant.
+
+    On a segment it has ``Rz(h) R_inertial_sensor(t) R_sensor_bone = R_world_bone(t)`` for one heading h and one
+    mounting, and ``Rz(h) w_inertial(t) = w_world(t)`` for any mounting. At each heading the best mounting follows in
+    closed form (Wahba 1965), and the heading from a grid, refined once.
 
     Raises:
         InvalidInputError: poses and sensors have no two seconds in common.

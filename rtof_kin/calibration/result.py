@@ -386,6 +386,20 @@ class CalibrationTable(InputTable):
 def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
     """Write a calibration; `read_self_calibration_toml` restores it exactly.
 
+    ::
+
+        schema_version = 1
+        middle_s = 10.0                 # time stamp of the constants of what drifts
+        converged = 1
+        [quantities.mounting.LeftArm]   # kind, then item
+        value = [0.01, -0.02, 0.0]      # SI units or px, as in `unknowns`
+        sigma = [0.01, 0.01, 0.03]
+        sigma_prior = [0.035, 0.035, 0.07]
+        known = 0.4
+        [detector.LeftArm]
+        sigma_px = 5.1
+        memory_s = 0.4
+
     Args:
         overwrite: whether an existing file is replaced.
 

@@ -81,6 +81,11 @@ class Adjusted:
 def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array, settings: BundleSettings) -> Adjusted:
     """Adjust the second camera to the images.
 
+    Ten unknowns (the second camera's pose, both focal lengths, the delay of the second video, the size of the body) and
+    the joints in world, which are eliminated frame by frame (Triggs et al. 2000, section 6.1). Residuals: the joints'
+    images with a Cauchy loss, their shape as each video alone shows it, the lengths of the bones, and priors. From
+    images alone, the angle between two distant cameras is hardly known (the bas-relief ambiguity).
+
     Args:
         cameras: at the start; the second one's pose within some tens of degrees.
         p_world_joint: (F, n, 3) start of the joints, m.

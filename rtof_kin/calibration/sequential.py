@@ -11,7 +11,7 @@ information I and gradient s at the current y are those of `fragment_profile`, t
 P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
 windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
 
-The delay of the video has a posterior of its own (`delay_posterior`), as energies are not quadratic in it.
+The delay of the video has a posterior of its own (`DelayPosterior`), as energies are not quadratic in it.
 
 An update takes some 50 ms and comes in slices of about a ms. What is applied to new samples moves
 towards the estimate with a limited speed (`Pace`), so that poses do not jump.
@@ -89,6 +89,9 @@ class LateSensors:
 
 class DelayPosterior:
     """Delay that windows of a motion tell.
+
+    Energies are added up on a grid of delays between `_REACH` standard deviations of the prior on either side. Delay
+    and deviation are the moments of the posterior, which is wide while two delays explain the motion.
 
     Attributes:
         delay: s. sigma: its standard deviation, s. doubt: why it may be wrong; empty for no reason.

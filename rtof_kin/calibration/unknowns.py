@@ -438,7 +438,10 @@ class Ankles(Isotropic):
 
 @dataclass(frozen=True)
 class Posture(Isotropic):
-    """Rotation of the prior's mean of each joint in its parent's axes."""
+    """Rotation of the prior's mean of each joint in its parent's axes.
+
+    Moves the means of the pose prior (`PosePrior.moved`), as a known posture does, and keeps their covariance.
+    """
 
     items: tuple[str, ...]
     places: tuple[int, ...]  # Of these joints among those of the pose prior in the problem

@@ -63,11 +63,7 @@ OLD_OPTIONS: Final = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return the exit code.
-
-    Args:
-        arguments: of the command line; default: sys.argv.
-    """
+    """Run one command and return the exit code. `arguments`: of the command line; default: sys.argv."""
     try:
         return _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
@@ -146,8 +142,7 @@ def command_names() -> set[str]:
 def app(arguments: Sequence[str] = ()) -> App:
     """Return the application; a command's module is imported when the command is used.
 
-    Args:
-        arguments: that it is for; without the name of a command the summary of each is at hand.
+    `arguments`: that it is for; without the name of a command the summary of each is at hand.
     """
     from cyclopts import App, Group
 

@@ -26,7 +26,7 @@ from rtof_kin.cli.options import (
 )
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
-from rtof_kin.clinical.repetitions import Kind
+from rtof_kin.core.choices import Repeated
 from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
@@ -45,7 +45,7 @@ def compare(
     *,
     output: Folder = None,
     by: Literal["time", "cycle", "repetition", "range"] | None = None,
-    repetitions: Kind | None = None,
+    repetitions: Repeated | None = None,
     sides: bool = False,
     shift: Annotated[float | None, Parameter(metavar="S", group="Two motions")] = None,
     align: Annotated[bool, Parameter(group="Two motions")] = False,

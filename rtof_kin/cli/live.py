@@ -19,34 +19,29 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command, written
 from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
-from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.live.online_settings import OnlineSettings
-from rtof_kin.live.samples import OnlineEstimate
 
 if TYPE_CHECKING:
+    from rtof_kin.body.skeleton import SkeletonModel
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.live.open_sources import Streams
-    from rtof_kin.live.samples import Sink, Source
+    from rtof_kin.live.samples import OnlineEstimate, Sink, Source
     from rtof_kin.live.session import LiveSession, SessionSummary
     from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
 CALIBRATION: Final = "calibration.toml"
 """File of what was refined, in the folder of the recording."""
-_LONGEST_WAIT: Final = 10.0
-"""[s] for the names of the points of a camera's stream."""
-_MEASURING: Final = 2.0
-"""[s] for the first examined image of a webcam."""
+_LONGEST_WAIT: Final = 10.0  # [s] for the names of the points of a camera's stream
+_MEASURING: Final = 2.0  # [s] for the first examined image of a webcam
 _LATENCY, _MARGIN = (0.2, 0.6), 1.5
 """[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
 _ANGLES: Final = ("hip_flexion", "knee_flexion", "elbow_flexion")
-_FRAMES: Final = 600
-"""Frames of which the times are summarised."""
+_FRAMES: Final = 600  # Frames of which the times are summarised
 _MESSAGES: Final = 8
 _TABLE_EVERY, _LINE_EVERY, _ANGLES_EVERY = 0.2, 1.0, 0.5  # [s]
 _STYLES: Final = {"ok": "green", "waiting": "dim", "late": "yellow", "lossy": "yellow"}
@@ -124,7 +119,7 @@ def live(
     from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.run import ReconstructionTask
+    from rtof_kin.setup.settings import ReconstructionTask
 
     with ended_by_signals():
         if output is not None:
@@ -429,6 +424,8 @@ class LiveDisplay:
             return self._known
         self._computed = self._now()
         try:
+            from rtof_kin.clinical.angles import clinical_angles
+
             angles = clinical_angles(self._last.poses, self._skeleton)
         except RtofError:  # the skeleton has no clinical angles
             return []

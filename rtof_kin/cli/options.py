@@ -81,8 +81,11 @@ def _named(path: str) -> type:
 
 def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
     """Yield the options of some fields of a dataclass."""
-    hints, described = get_type_hints(settings, include_extras=True), descriptions(settings)
+    described = descriptions(settings)
     known: Mapping[str, Field[Any]] = {field.name: field for field in fields(settings)}
+    annotations = {name: known[name].type for name in chosen.options}  # types of other fields may be costly to import
+    plain = type(settings.__name__, (), {"__annotations__": annotations, "__module__": settings.__module__})
+    hints = get_type_hints(plain, include_extras=True)
     for name, option in chosen.options.items():
         default, factory = chosen.defaults.get(name, known[name].default), known[name].default_factory
         if default is MISSING and callable(factory):
@@ -94,7 +97,8 @@ def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
             how = Parameter.combine(how, Parameter(group=chosen.group))
         if usual and not isinstance(default, bool):
             how = Parameter.combine(how, Parameter(show_default=partial(_constant, usual)))
-        hint = _option(hints[name], MISSING if required else default, how)
+        kind = hints[name] | None if chosen.of and not required else hints[name]
+        hint = _option(kind, MISSING if required else default, how)
         empty = inspect.Parameter.empty if required else None if chosen.of else default
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=empty, annotation=hint)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -23,12 +23,12 @@ from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.audit import audit, calibration_results
-from rtof_kin.reporting.audit_results import AuditResult, headline
-from rtof_kin.reporting.statistics import ReconstructionStatistics
-from rtof_kin.setup.run import ReconstructionTask, reconstruct_folder
+from rtof_kin.setup.settings import ReconstructionTask
 from rtof_kin.solve.settings import CartesianSettings
+
+if TYPE_CHECKING:
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 
 def solver_settings(
@@ -102,6 +102,10 @@ def reconstruct_and_print(
     verbose: bool = False,
 ) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
+    from rtof_kin.reporting.audit import audit
+    from rtof_kin.reporting.audit_results import headline
+    from rtof_kin.setup.run import reconstruct_folder
+
     with progress() as update, warnings_in_summary():
         found = reconstruct_folder(recording, output, overwrite, task=task, settings=settings, progress=update)
     verdict = headline(audit(found))
@@ -130,6 +134,9 @@ def _calibrate(
     from rtof_kin.calibration.result import write_self_calibration_toml
     from rtof_kin.reconstruction.self_calibration import calibrate_recording, consistency_warnings
     from rtof_kin.recording.index import INDEX
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.reporting.audit import calibration_results
+    from rtof_kin.reporting.audit_results import AuditResult, headline
 
     if calibrated is not None:
         check_replaceable(calibrated, INDEX, overwrite)

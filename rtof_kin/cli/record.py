@@ -39,20 +39,19 @@ from rtof_kin.cli.terminal import (
 from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
-from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reporting.analysis import AnalysisSettings
-from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
-from rtof_kin.setup.run import ReconstructionTask, Run, SecondCamera
-from rtof_kin.setup.run import run as run_steps
+from rtof_kin.reporting.settings import AnalysisSettings
+from rtof_kin.setup.settings import ReconstructionTask, SecondCamera, SetupSettings
 
 if TYPE_CHECKING:
+    from rtof_kin.reconstruction.prepare import Progress
+    from rtof_kin.setup.init import Detect, Findings
+    from rtof_kin.setup.run import Run
     from rtof_kin.vision.detections import Detections
     from rtof_kin.vision.person_detector import PersonDetector
 
 _KINDS = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
-_OF_KEYPOINTS = "rtof_kin.recording.cameras"
-"""Logger of how the person was followed, which the findings say."""
+_OF_KEYPOINTS = "rtof_kin.recording.cameras"  # Logger of how the person was followed, which the findings say
 
 
 @command
@@ -103,6 +102,9 @@ def run(
         seconds: of the demo, use as many seconds at most
     """
     limit_threads(threads)
+    from rtof_kin.setup.init import make_recording
+    from rtof_kin.setup.run import run as run_steps
+
     settings = solver_settings(settings, paper)
     task = replace(task, calibrate=not demo if calibrate is None else calibrate)
     if demo:

@@ -10,9 +10,8 @@ from cyclopts import Parameter
 from rtof_kin.cli.options import Fields, Figures, Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
-from rtof_kin.core.files.text import write_text
-from rtof_kin.recording.index import Session
-from rtof_kin.reporting.analysis import MARKER, AnalysisSettings, write_analysis
+from rtof_kin.recording.labels import Session
+from rtof_kin.reporting.settings import AnalysisSettings
 
 
 @command
@@ -50,6 +49,8 @@ def report(
             with --analysis the scores are written into FOLDER/gait_scores
     """
     from rtof_kin.body.motion_file import motion_folder
+    from rtof_kin.core.files.text import write_text
+    from rtof_kin.reporting.analysis import MARKER, write_analysis
     from rtof_kin.reporting.document import show
     from rtof_kin.reporting.gait import score_motion
     from rtof_kin.reporting.page import PAGE

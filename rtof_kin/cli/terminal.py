@@ -38,10 +38,8 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
-_LONG = 600.0
-"""[s] of jobs that the remaining time is estimated from."""
-_MEAN_NORM = 1.596
-"""Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
+_LONG = 600.0  # [s] of jobs that the remaining time is estimated from
+_MEAN_NORM = 1.596  # Mean norm of a normal error in three dimensions, in standard deviations of an axis
 
 
 class _PlainFormatter(logging.Formatter):
@@ -143,8 +141,7 @@ def _leave_terminal() -> None:
 def warnings_in_summary(logger: str = "rtof_kin.reconstruction.pipeline.warnings") -> Iterator[None]:
     """Silence log messages that the printed summary repeats.
 
-    Args:
-        logger: its name; by default `rtof_kin.reconstruction.pipeline.WARNINGS_LOGGER`.
+    `logger`: its name; by default `rtof_kin.reconstruction.pipeline.WARNINGS_LOGGER`.
     """
     silent = logging.getLogger(logger)
     silent.disabled = True
@@ -165,8 +162,7 @@ def line(name: str, text: str, style: str = "") -> None:
 def print_summary(found: ReconstructionStatistics, headline: Headline, folder: str | Path) -> None:
     """Print a result in five lines: recording, accuracy, cautions, files, next command.
 
-    Args:
-        found: statistics of what was exported to `folder`.
+    `found`: statistics of what was exported to `folder`.
     """
     first = found.first
     source = f"{_duration(found.seconds)} at {first.motion.poses.rate_hz:.0f} Hz"
@@ -240,11 +236,7 @@ def print_calibration(calibration: SelfCalibration) -> None:
 
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
-    """Score a predictor that never moves by the same code; empty without truth.
-
-    Args:
-        recording: with or without truth.
-    """
+    """Score a predictor that never moves by the same code; empty without truth. `recording`: with or without truth."""
     from rtof_kin.body.metrics import evaluate, motionless
 
     if recording.truth is None:
@@ -256,8 +248,7 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
 def print_scores(scores: Mapping[str, Mapping[str, float]], of: str = "stage") -> None:
     """Print one row of errors for each stage, or joint.
 
-    Args:
-        scores: stage -> figures of `SCORE_COLUMNS`, those that there are.
+    `scores`: stage -> figures of `SCORE_COLUMNS`, those that there are.
     """
     from rtof_kin.body.metrics import BEGUN_TOGETHER
     from rtof_kin.reporting.document import Table, show_table

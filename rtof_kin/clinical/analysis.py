@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
-from rtof_kin.clinical.angles import ClinicalAngles, angles_of, relative_to_standing
-from rtof_kin.clinical.decomposition import DecomposedAngles
+from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths, relative_to_standing
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.ground_reaction import GroundReaction, foot_contacts, ground_reaction
-from rtof_kin.clinical.paths import BodyPaths, PathCollector
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
-from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
+from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
+from rtof_kin.core.choices import Repeated
 from rtof_kin.core.errors import InvalidInputError
 
 
@@ -60,7 +61,7 @@ def analyse(
     weight_kg: float | None = None,
     height: float | None = None,
     sex: str | None = None,
-    repetitions: Kind | None = None,
+    repetitions: Repeated | None = None,
     from_standing: bool = False,
 ) -> MotionAnalysis:
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
@@ -84,16 +85,10 @@ def analyse(
         raise InvalidInputError("height and sex are used for joint torques, which need a weight in kg")
     if isinstance(motion, str | Path):
         with MotionReader(motion_path(motion)) as reader:
-            return analyse(
-                reader,
-                weight_kg=weight_kg,
-                height=height,
-                sex=sex,
-                repetitions=repetitions,
-                from_standing=from_standing,
-            )
+            body: dict[str, Any] = {"weight_kg": weight_kg, "height": height, "sex": sex}
+            return analyse(reader, **body, repetitions=repetitions, from_standing=from_standing)
     source = MotionSource.of(motion)
-    angles, paths = _angles_and_paths(source, from_standing)
+    (angles,), paths = angles_and_paths(source, angle_table(source.skeleton.table), standing=from_standing)
     if from_standing:
         angles = relative_to_standing(angles, paths)
     counted = find_repetitions(paths, angles, repetitions) if repetitions is not None else None
@@ -117,13 +112,3 @@ def analyse(
         reaction,
         paths,
     )
-
-
-def _angles_and_paths(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, BodyPaths]:
-    """Everything that the analyses need of the frames, in one pass over them."""
-    found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
-    paths = PathCollector(source.skeleton, source.times, standing)
-    for block in source.blocks(margin=1, confidence=True):
-        found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
-        paths.add(block.frames, block.motion.poses, block.own)
-    return angles_of(found, source.masks), paths.paths(source.masks)

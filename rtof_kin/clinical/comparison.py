@@ -20,14 +20,15 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.clinical.angle_table import SIDES, angle_table
+from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
 from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_samples import Alignment, Pair, Samples, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import BodyPaths, body_paths
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
@@ -199,7 +200,7 @@ class Comparison:
 
 def compared(name: str, motion: Motion, recording: str = "") -> Compared:
     """Return a motion with its angles, strides and repetitions."""
-    angles, paths = clinical_angles(motion), body_paths(motion)
+    (angles,), paths = angles_and_paths(MotionSource.of(motion), angle_table(motion.skeleton.table))
     found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))
     return replace(found, repetitions=repetition_spans(paths, angles), recording=recording)
 

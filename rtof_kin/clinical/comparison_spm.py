@@ -83,12 +83,8 @@ def compare_spm(found: Comparison) -> ComparisonSpm:
             f"compare --spm: needs strides or repetitions, and this comparison is by {found.by}; give --by "
             "cycle or --by repetition"
         )
-    tested, left_out = [], {}
-    for one in found.angles:
-        if reason := _untestable(one):
-            left_out[one.name] = reason
-        else:
-            tested.append(one)
+    left_out = {one.name: reason for one in found.angles if (reason := _untestable(one))}
+    tested = [one for one in found.angles if one.name not in left_out]
     level = LEVEL / max(1, len(tested))
     return ComparisonSpm(tuple(_tested(one, level) for one in tested), left_out, level, found.axis)
 

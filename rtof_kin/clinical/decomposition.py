@@ -29,6 +29,7 @@ from rtof_kin.clinical.angle_table import AngleTable, JointCoordinateSystem
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import some
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.poses import PoseSequence
 
@@ -89,12 +90,11 @@ def reliable_samples(
     share = excluded.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     worst = int(share.argmax())
     spans = [f"{times[a]:.2f} to {times[b - 1]:.2f} s" for a, b in signals.runs(excluded[:, worst])]
-    more = f" and {len(spans) - 3} more" if len(spans) > 3 else ""
     count = int(np.count_nonzero(excluded.any(axis=0)))
     return reliable, (
         f"{count} angles have unreliable samples, which are excluded from ranges, peaks and gait: 95 % bands "
         f"beyond +-{np.degrees(WIDEST_BAND):.0f} deg, or implausibly fast rotation; most of "
-        f"{table.rows[worst].name}: {100 * share[worst]:.0f} % of them, at {', '.join(spans[:3])}{more}"
+        f"{table.rows[worst].name}: {100 * share[worst]:.0f} % of them, at {some(spans)}"
     )
 
 

@@ -105,13 +105,8 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     facing = np.nanmean(forward, axis=0)
     heading = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
     progress = float(np.linalg.norm(way))
-    others = [foot.strikes for side, foot in events.feet.items() if side != stride.side]
-    between = [
-        t
-        for strikes in others
-        for t in strikes[signals.within(strikes, stride.start, stride.stop)]
-        if stride.start < t < stride.stop
-    ]
+    others = [t for side, foot in events.feet.items() if side != stride.side for t in foot.strikes]
+    between = [t for t in others if stride.start < t < stride.stop]
     return StrideShape(
         stance_share=stride.stance_share,
         phase=(between[0] - stride.start) / stride.stride_time if between else float("nan"),

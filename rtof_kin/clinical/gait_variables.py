@@ -18,12 +18,10 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table, foot_table
-from rtof_kin.clinical.angles import ClinicalAngles, angles_of, relative_to_standing
+from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths, relative_to_standing
 from rtof_kin.clinical.comparison_samples import usable
-from rtof_kin.clinical.decomposition import DecomposedAngles
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait, progression, stride_shape
 from rtof_kin.clinical.gait_events import Stride, gait_events
-from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE
@@ -112,7 +110,8 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -
         InvalidInputError: no quiet standing, but `from_standing` is set.
     """
     source = MotionSource.of(motion)
-    angles, feet, paths = _angles(source, from_standing)
+    tables = angle_table(source.skeleton.table), foot_table(source.skeleton.table)
+    (angles, feet), paths = angles_and_paths(source, *tables, standing=from_standing)
     if from_standing:
         angles = relative_to_standing(angles, paths)
     gait = analyse_gait(gait_events(paths), angles)
@@ -166,20 +165,6 @@ class _Sampled:
         if self.sigma is None:
             return values, None
         return values, signals.interpolate(times, self.sigma[own], at, gap).T
-
-
-def _angles(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, ClinicalAngles, BodyPaths]:
-    """Angles of all joints, of the feet in world, and paths, in one pass over the frames."""
-    skeleton, times = source.skeleton, source.times
-    tables = angle_table(skeleton.table), foot_table(skeleton.table)
-    joints, feet = (DecomposedAngles(skeleton, table, times) for table in tables)
-    paths = PathCollector(skeleton, times, standing)
-    for block in source.blocks(margin=1, confidence=True):
-        for found in (joints, feet):
-            found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
-        paths.add(block.frames, block.motion.poses, block.own)
-    masks = source.masks
-    return angles_of(joints, masks), angles_of(feet, masks), paths.paths(masks)
 
 
 def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:

@@ -111,7 +111,8 @@ def foot_contacts(paths: BodyPaths, gait: GaitAnalysis) -> FootContacts:
         Contact.NONE,
     ).astype(np.uint8)
     walked = single_support(gait)
-    stance = both_stand(gait)
+    stands, swings = _phases(gait)
+    stance = stands.all(axis=0) & ~swings.any(axis=0)
     state[(walked != UNKNOWN) & ~unseen] = (walked + 1)[(walked != UNKNOWN) & ~unseen]
     state[stance & ~unseen] = Contact.BOTH
     if by_ankle:
@@ -132,12 +133,6 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
     for side in range(len(SIDES)):
         out[stands[side] & swings[1 - side]] = side
     return out
-
-
-def both_stand(gait: GaitAnalysis) -> Mask:
-    """Return (T,) frames in which both feet stand by their strides."""
-    stands, swings = _phases(gait)
-    return np.asarray(stands.all(axis=0) & ~swings.any(axis=0))
 
 
 def _phases(gait: GaitAnalysis) -> tuple[Mask, Mask]:
@@ -267,7 +262,9 @@ class GroundReaction:
 def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
     """Return force and centre of pressure."""
     force = torques.wrench[:, :3]
-    covariance = _total(torques.wrench_covariances)
+    by_motion, by_masses = torques.wrench_covariances.astype(float)
+    unknown = np.isnan(by_motion).all(axis=(1, 2), keepdims=True)
+    covariance = np.where(unknown, 0.0, by_motion) + by_masses
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
     weight = torques.weight_kg * STANDARD_GRAVITY
     missed = (contacts.state == Contact.NONE) & (force[:, 2] > MISSED * weight)
@@ -294,13 +291,6 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
         (),
     )
     return replace(found, notes=(*_notes(found, missed), *contacts.notes))
-
-
-def _total(parts: NDArray[np.float32]) -> Array:
-    """Sum (T, 6, 6) of the covariances (2, T, 6, 6) by motion, where it is known, and masses."""
-    total = parts.astype(float)
-    missing = np.isnan(total[0]).all(axis=(1, 2))
-    return np.asarray(np.where(missing[:, None, None], 0.0, total[0]) + total[1])
 
 
 def _pressure(torques: JointTorques, covariance: Array, floor: float) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from typing import Final, get_args
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -14,11 +14,11 @@ from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Repeated
 from rtof_kin.core.errors import UnknownNameError
 
 Interval = tuple[float, float]
-Kind = Literal["squat", "sit_to_stand"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+KINDS: Final[tuple[Repeated, ...]] = get_args(Repeated)
 CUTOFF_HZ: Final = 3.0  # low-pass of the pelvis height
 LEAST_DROP: Final = 0.15  # smallest descent of the pelvis, share of the leg's length
 AT_REST: Final = 0.05  # a movement lasts from 5 % to 95 % of its way, which excludes sway and settling
@@ -59,7 +59,7 @@ class Repetition:
 class RepetitionAnalysis:
     """All repetitions of a recording."""
 
-    kind: Kind
+    kind: Repeated
     repetitions: tuple[Repetition, ...]
     notes: tuple[str, ...]
 
@@ -73,7 +73,7 @@ class RepetitionAnalysis:
         return last.ascent[1] - start[0] if start and last.ascent else float("nan")
 
 
-def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Kind) -> RepetitionAnalysis:
+def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Repeated) -> RepetitionAnalysis:
     """Find squats (standing - down - standing), or rises from a seat to standing.
 
     The height of the pelvis is measured from the ankles, or in world if no ankle is observed.
@@ -92,12 +92,12 @@ def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Kind) -> Re
         for start, stop in signals.runs(np.isfinite(height))
         for dip in _dips(paths.times[start:stop], height[start:stop], paths.rate_hz, leg)
     ]
-    knees = angles.select([f"{side}_knee_flexion" for side in SIDES])
-    found = [
-        replace(dip, knee_flexion=_knee_flexion(dip, knees.times, knees.trusted_values))
-        for dip in dips
-        if dip.ascent is not None and (kind == "sit_to_stand" or dip.descent is not None)
-    ]
+    knees, found = angles.select([f"{side}_knee_flexion" for side in SIDES]), []
+    for dip in dips:
+        if dip.ascent is not None and (kind == "sit_to_stand" or dip.descent is not None):
+            moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
+            own = knees.trusted_values[signals.within(knees.times, min(moments), max(moments))]
+            found.append(replace(dip, knee_flexion=dict(zip(SIDES, map(_largest, own.T), strict=True))))
     if len(found) < len(dips):
         notes.append(f"{len(dips) - len(found)} movement(s) cut by a gap or an end are not counted")
     if not dips:
@@ -154,11 +154,5 @@ def _rise(times: Array, height: Array, least: float) -> Interval | None:
     return float(times[left]), float(times[reached])
 
 
-def _knee_flexion(dip: Repetition, times: Array, flexion: Array) -> dict[str, float]:
-    """Side -> largest reliable knee flexion (T, sides), rad, within a repetition; NaN if none."""
-    moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
-    own = flexion[signals.within(times, min(moments), max(moments))]
-    return {
-        side: float(np.nanmax(knee)) if np.isfinite(knee).any() else float("nan")
-        for side, knee in zip(SIDES, own.T, strict=True)
-    }
+def _largest(values: Array) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")

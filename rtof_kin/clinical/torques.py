@@ -44,21 +44,6 @@ EVERY: Final = 1 / 15
 """[s] between frames in which they are computed; variances are interpolated linearly."""
 
 
-@dataclass(frozen=True)
-class DynamicsConfidence:
-    """Variances of torques and covariances of the wrench, by component."""
-
-    torques: Array
-    """(2, n, D) variances, (N m)^2: of the motion, of the masses."""
-    wrench: Array
-    """(2, n, 6, 6) covariances of the wrench about the reference, N and N m."""
-
-
-def node_frames(count: int, rate_hz: float) -> Index:
-    """Return the frames in which the confidence is computed, the first and the last of them at any rate."""
-    return np.union1d(np.arange(0, count, max(1, math.floor(EVERY * rate_hz))), [count - 1])
-
-
 def dynamics_confidence(
     body: BodyDynamics,
     q: Array,
@@ -67,10 +52,13 @@ def dynamics_confidence(
     carries: NDArray[np.int_],
     errors: PoseErrors | None,
     rate_hz: float,
-) -> DynamicsConfidence:
-    """Return the confidence in some frames; body: with the subject's mass; q, v, a: (n, nq), (n, nv), (n, nv),
-    filtered; carries: (n,) see `BodyDynamics.at`; errors: of these frames; None: the component of the motion is NaN;
-    rate_hz: of the motion, Hz.
+) -> tuple[Array, Array]:
+    """Return variances of torques (2, n, D), (N m)^2, and covariances (2, n, 6, 6) of the wrench about the reference,
+    N and N m: of the motion, NaN without its errors, and of the masses.
+
+    Args:
+        body: with the subject's mass. q, v, a: (n, nq), (n, nv), (n, nv), filtered.
+        carries: (n,) see `BodyDynamics.at`. errors: of these frames. rate_hz: of the motion, Hz.
     """
     n, D = len(q), body.skeleton.nv - 6
     torques, wrench = np.full((2, n, D), np.nan), np.full((2, n, 6, 6), np.nan)
@@ -83,7 +71,7 @@ def dynamics_confidence(
             wrench[0, t] = _covariance(value[D:], velocity[D:], acceleration[D:], gains)
         torques[1, t] = MASS_SIGMA**2 * np.sum(S.masses[:D] ** 2, axis=1)
         wrench[1, t] = MASS_SIGMA**2 * S.masses[D:] @ S.masses[D:].T
-    return DynamicsConfidence(torques, wrench)
+    return torques, wrench
 
 
 def interpolated(nodes: Index, values: Array, count: int) -> Array:
@@ -187,8 +175,7 @@ def joint_torques(
     carries: NDArray[np.int_] = readonly("support", given, (T,), np.int_)
     if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
-    whole = _Arrays.unknown(T, skeleton.nv)
-    short = 0
+    whole, short = _Arrays.unknown(T, skeleton.nv), 0
     ends = [i for i, name in enumerate(skeleton.names) if name in _CARRY]
     placed = source.masks.known & source.masks.valid[:, [0, *ends]].all(axis=1)
     for start, stop in signals.runs(placed):
@@ -205,7 +192,10 @@ def joint_torques(
     if short:
         notes.append(f"{short} stretch(es) shorter than {SHORTEST:g} s have no torques")
     if support is not None:
-        legs = [column - 6 for column in _leg_velocities(skeleton)]
+        segments = angle_table(skeleton.table).segments
+        own = {segments[f"{side} {word}"] for side in SIDES for word in ("thigh", "shank", "foot")}
+        joints = [joint for joint in skeleton.table.joints if joint.name in own]
+        legs = [skeleton.dof_names.index(dof.urdf) for joint in joints for dof in joint.dofs]
         whole.torques[np.ix_(carries == UNKNOWN, legs)] = np.nan
         whole.sigma_parts[np.ix_((0, 1), carries == UNKNOWN, legs)] = np.nan
         notes.append(
@@ -302,13 +292,13 @@ def _inverse_dynamics(
         v = joint_velocities(skeleton, q, times)
         a = np.gradient(v, times, axis=0)
         q, v, a = q[own], v[own], a[own]
-        nodes = node_frames(len(q), rate_hz)
+        nodes = np.union1d(np.arange(0, len(q), max(1, math.floor(EVERY * rate_hz))), [len(q) - 1])
         stated, errors = block.motion.confidence, None
         if stated is not None:
             R = skeleton.forward_kinematics(q[nodes])[1]
             errors = pose_errors(skeleton, q[nodes], stated[own.start + nodes], R)
-        sure = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], errors, rate_hz)
-        torques, wrenches = (interpolated(nodes, part, len(q)) for part in (sure.torques, sure.wrench))
+        parts = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], errors, rate_hz)
+        torques, wrenches = (interpolated(nodes, part, len(q)) for part in parts)
         found = [body.at(*frame) for frame in zip(q, v, a, supports.tolist(), strict=True)]
         yield (
             block.frames,
@@ -322,11 +312,3 @@ def _inverse_dynamics(
                 wrench_covariances=wrenches.astype(np.float32),
             ),
         )
-
-
-def _leg_velocities(skeleton: SkeletonModel) -> list[int]:
-    """Columns of v, and of tau, of both legs."""
-    table = angle_table(skeleton.table)
-    leg = {table.segments[f"{side} {word}"] for side in SIDES for word in ("thigh", "shank", "foot")}
-    dofs = [dof.urdf for joint in skeleton.table.joints if joint.name in leg for dof in joint.dofs]
-    return [6 + skeleton.dof_names.index(name) for name in dofs]

@@ -35,7 +35,7 @@ from rtof_kin.clinical.comparison_samples import Spans, own_side, repeats_of, wh
 from rtof_kin.clinical.gait_events import Stride
 from rtof_kin.clinical.repetitions import KINDS
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import indices_of, some
 from rtof_kin.core.errors import InvalidInputError
 
 OTHER_BONES: Final = 0.01
@@ -120,17 +120,15 @@ def _stride_sigmas(source: MotionSource, analysis: MotionAnalysis) -> dict[Strid
             return {}
         for side, joint in feet.items():
             covariances[side].append(block.motion.confidence.position_covariance[block.own, joint])
-    whole = {side: np.concatenate(parts) for side, parts in covariances.items()}
-    return {stride: _stride_sigma(stride, whole[stride.side], analysis) for stride in strides}
-
-
-def _stride_sigma(stride: Stride, covariance: Array, analysis: MotionAnalysis) -> float:
-    times, heel = analysis.paths.times, analysis.gait.events.feet[stride.side].heel
-    first, last = (int(np.abs(times - at).argmin()) for at in (stride.start, stride.stop))
-    way = (heel[last] - heel[first])[:2]
-    along = way / max(float(np.linalg.norm(way)), 1e-9)
-    both = (covariance[first] + covariance[last])[:2, :2]
-    return float(np.sqrt(max(along @ both @ along, 0.0)))
+    whole, out = {side: np.concatenate(parts) for side, parts in covariances.items()}, {}
+    for stride in strides:
+        heel, covariance = analysis.gait.events.feet[stride.side].heel, whole[stride.side]
+        first, last = (int(np.abs(paths.times - at).argmin()) for at in (stride.start, stride.stop))
+        way = (heel[last] - heel[first])[:2]
+        along = way / max(float(np.linalg.norm(way)), 1e-9)
+        both = (covariance[first] + covariance[last])[:2, :2]
+        out[stride] = float(np.sqrt(max(along @ both @ along, 0.0)))
+    return out
 
 
 def incomparable(visits: Sequence[Visit], baseline: int) -> tuple[str, ...]:
@@ -190,7 +188,7 @@ def _other_sensors(a: Visit, b: Visit) -> list[str]:
             before, after = (set().union(*found) for found in sets)
             changes = [f"without {joint}" for joint in sorted(before - after)]
             changes += [f"with {joint}" for joint in sorted(after - before)]
-            out.append(f"{text} ({_few(changes) or 'not in all trials'})")
+            out.append(f"{text} ({some(changes, 4) or 'not in all trials'})")
     return out
 
 
@@ -218,11 +216,6 @@ def _other_view(a: Visit, b: Visit) -> str | None:
         if abs(y - x) > limit * (x if relative else 1.0):
             return f"{name.replace('_', ' ')} {y:.1f} m rather than {x:.1f} m"
     return None
-
-
-def _few(texts: Sequence[str], most: int = 4) -> str:
-    more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return ", ".join(texts[:most]) + more
 
 
 Movement = Literal["cycle", "repetition", "range"]
@@ -268,10 +261,7 @@ class Measure:
 
 def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Measured]:
     """Return the measures of one trial that it has, from all its strides or repetitions."""
-    out = dict(_angles(trial, by, kind))
-    if by == "cycle":
-        out |= _gait(trial)
-    return out
+    return dict(_angles(trial, by, kind)) | (_gait(trial) if by == "cycle" else {})
 
 
 def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Measured]]:
@@ -316,17 +306,12 @@ def _gait(trial: Trial) -> dict[Measure, Measured]:
     for name in _SYMMETRIC:
         value = gait.symmetry.get(name, float("nan"))
         if np.isfinite(value) and (name != "stride_length" or moving):
-            out[Measure(f"{name}_symmetry", "%")] = Measured(np.array([value]), _symmetry_band(out, name))
+            sides = [own for measure, own in out.items() if measure.name in [f"{side}_{name}" for side in SIDES]]
+            band = 0.0  # of (right - left) / mean, as of independent errors of the sides
+            if all(own.band_sigma > 0 for own in sides):
+                band = float(np.sqrt(sum(own.band_sigma**2 for own in sides)) / np.mean([own.mean for own in sides]))
+            out[Measure(f"{name}_symmetry", "%")] = Measured(np.array([value]), band)
     return out
-
-
-def _symmetry_band(gait: Mapping[Measure, Measured], name: str) -> float:
-    """Of (right - left) / mean, as of independent errors of the sides; 0 where they have no bands."""
-    sides = [own for measure, own in gait.items() if measure.name in [f"{side}_{name}" for side in SIDES]]
-    if not all(own.band_sigma > 0 for own in sides):
-        return 0.0
-    size = np.sqrt(sum(own.band_sigma**2 for own in sides))
-    return float(size / np.mean([own.mean for own in sides]))
 
 
 def _over(strides: Sequence[Stride], name: str, sigmas: Sequence[float] = ()) -> Measured:
@@ -371,21 +356,20 @@ def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[M
         why = "" if by else f"all trials have {LEAST_REPEATS} repetitions or more"
         return "repetition", best, why, {}
     why = "" if by else "neither gait nor repetitions are in all trials"
-    return "range", "", why, _other_movements(visits, walking)
+    others = zip(visits, walking, strict=True) if any(walking) else ()
+    return (
+        "range",
+        "",
+        why,
+        {
+            visit.name: f"another movement: not gait, as others are ({_not_gait(visit.trials[0])})"
+            for visit, own in others
+            if not own
+        },
+    )
 
 
 def _not_gait(trial: Trial) -> str:
     """Sentence on why a trial is not measured by its gait; '' if it is."""
     gait = trial.analysis.gait
     return gait.why_not or gait.verdict.too_few
-
-
-def _other_movements(visits: Sequence[Visit], walking: Sequence[Sequence[Trial]]) -> dict[str, str]:
-    """Visits that are not walking where others are; nothing of them is left out."""
-    if not any(walking):
-        return {}
-    return {
-        visit.name: f"another movement: not gait, as others are ({_not_gait(visit.trials[0])})"
-        for visit, own in zip(visits, walking, strict=True)
-        if not own
-    }

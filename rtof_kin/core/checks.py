@@ -21,10 +21,8 @@ Shape = Sequence[int | str]
 
 
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
-    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
-
-    Raises:
-        ShapeError: the value is not numeric or its shape differs.
+    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``; `ShapeError` where the
+    value is not numeric or its shape differs.
     """
     try:
         array = np.array(value, dtype=dtype)
@@ -39,28 +37,19 @@ def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> 
     return array
 
 
+def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
+    """Return the first names, and how many more there are."""
+    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def freeze(record: object, name: str, **shapes: Shape) -> None:
-    """Replace array fields of a frozen dataclass by read-only copies of checked shape.
-
-    Args:
-        record: the instance, in its ``__post_init__``. shapes: expected shape of each field.
-
-    Raises:
-        ShapeError: see `readonly`.
-    """
+    """Replace array fields of a frozen dataclass, in its ``__post_init__``, by `readonly` copies of these shapes."""
     for own, shape in shapes.items():
         object.__setattr__(record, own, readonly(f"{name} {own}", getattr(record, own), shape))
 
 
 def checked_times(field: str, times: ArrayLike) -> Array:
-    """Return read-only times (T,) in seconds.
-
-    Args:
-        times: (T,) s.
-
-    Raises:
-        InvalidInputError: they are empty, not finite or not strictly increasing.
-    """
+    """Return read-only times (T,), s; `InvalidInputError` where empty, not finite or not strictly increasing."""
     array: Array = readonly(field, times, ("T",))
     if len(array) == 0:
         raise InvalidInputError(f"{field}: empty; at least one sample is needed")
@@ -78,11 +67,7 @@ def checked_times(field: str, times: ArrayLike) -> Array:
 
 
 def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the positions of names in a list.
-
-    Raises:
-        UnknownNameError: names that are not in the list.
-    """
+    """Return the positions of names in a list; names that are not in it raise `UnknownNameError`."""
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise UnknownNameError(kind, unknown, known)
@@ -90,11 +75,7 @@ def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[i
 
 
 def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return unique names as a tuple.
-
-    Raises:
-        InvalidInputError: a name occurs more than once.
-    """
+    """Return unique names as a tuple; a name that occurs more than once raises `InvalidInputError`."""
     names = tuple(map(str, names))
     double = sorted(name for name, count in Counter(names).items() if count > 1)
     if double:
@@ -103,14 +84,7 @@ def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def checked_rotations(field: str, R: Array) -> None:
-    """Check that each matrix is a rotation or NaN as a whole.
-
-    Args:
-        R: (..., 3, 3).
-
-    Raises:
-        InvalidInputError: a matrix is neither.
-    """
+    """Check that each of the matrices (..., 3, 3) is a rotation or NaN as a whole, or raise `InvalidInputError`."""
     unknown = np.isnan(R)
     if not unknown.any() and so3.is_rotation(R, tolerance=1e-5):
         return

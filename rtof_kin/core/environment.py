@@ -30,13 +30,8 @@ def threads() -> int | None:
 
 
 def limit_threads(count: int | None) -> None:
-    """Set the number of threads of libraries that are loaded from now on.
-
-    Args:
-        count: if None, the number set in the environment, else `USUAL`.
-
-    Raises:
-        InvalidInputError: less than one, or libraries are loaded already with another number.
+    """Set the number of threads of libraries loaded from now on; None: that of the environment, else `USUAL`.
+    `InvalidInputError`: less than one, or libraries are loaded already with another number.
     """
     if count is not None and count < 1:
         raise InvalidInputError(f"threads: {count}; give 1 or more")
@@ -79,12 +74,18 @@ _UNKNOWN: Final = "unknown"
 
 def environment() -> dict[str, str]:
     """Return versions, processor, way of evaluation and threads by name; to be called after a computation."""
+    # Linear algebra that NumPy and SciPy were built with, if they are loaded.
+    found = {}
+    for name in ("numpy", "scipy"):
+        if (module := sys.modules.get(name)) is not None:
+            blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
+            found[f"BLAS of {name}"] = f"{blas.get('name', _UNKNOWN)} {blas.get('version', '')}".strip()
     return {
         "rtof_kin": package_version("rtof_kin"),
         "rtof_kin source": source_digest()[:16],
         "python": platform.python_version(),
         **{name: package_version(name) for name in PACKAGES},
-        **_blas(),
+        **found,
         "C library": " ".join(platform.libc_ver()).strip() or _UNKNOWN,
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
@@ -127,16 +128,6 @@ def processor() -> str:
     model = facts.get("model name") or facts.get("CPU part") or platform.machine()
     flags = " ".join(sorted((facts.get("flags") or facts.get("Features") or "").split()))
     return f"{model}, instructions {hashlib.sha256(flags.encode()).hexdigest()[:8]}"
-
-
-def _blas() -> dict[str, str]:
-    """Return the linear algebra that NumPy and SciPy were built with, if they are loaded."""
-    found = {}
-    for name in ("numpy", "scipy"):
-        if (module := sys.modules.get(name)) is not None:
-            blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
-            found[f"BLAS of {name}"] = f"{blas.get('name', _UNKNOWN)} {blas.get('version', '')}".strip()
-    return found
 
 
 def _energy() -> str:

@@ -30,11 +30,7 @@ def too_long(path: object) -> str:
 
 
 def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
-    """Return a question about the nearest valid names, ' Did you mean ...?'; '' if there is none near.
-
-    Args:
-        unknown: names that are not valid.
-    """
+    """Return a question about the nearest valid names, ' Did you mean ...?'; '' if there is none near."""
     near = nearest(unknown, known)
     return f" Did you mean {', '.join(map(repr, near))}?" if near else ""
 
@@ -46,10 +42,8 @@ def nearest(unknown: Iterable[str], known: Iterable[str]) -> list[str]:
 
 
 def line_of(path: str | Path, word: str, field: str = "") -> int | None:
-    """Return the first line of a text file with a word outside of comments, from 1; None if there is none.
-
-    Args:
-        field: '[table] field' after whose table it stands.
+    """Return the first line, from 1, with a word outside of comments, after the table of a field '[table] field'; or
+    None.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()

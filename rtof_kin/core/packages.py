@@ -15,13 +15,8 @@ _log = logging.getLogger(__name__)
 
 
 def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -> Any:
-    """Import a module of an optional package.
-
-    Args:
-        extra: this package's extra that installs it. purpose: what needs it, the subject of the error's sentence.
-
-    Raises:
-        MissingPackageError: it is not installed, or its libraries cannot be loaded.
+    """Import a module of an optional package, which this package's extra installs; `MissingPackageError`, which says
+    what needs it, where it is not installed, or its libraries cannot be loaded.
     """
     package = module.partition(".")[0]
     try:
@@ -52,7 +47,11 @@ T = TypeVar("T")
 
 
 class Extensions(Generic[T]):
-    """What is added to one list of this package."""
+    """What is added to one list of this package.
+
+    An installed package names it in its ``pyproject.toml``, as an entry point of `group`, and every command and
+    function then knows it; a script adds it for its own process.
+    """
 
     def __init__(self, group: str, kind: type[T], name: Callable[[T], str]) -> None:
         """Describe the list."""
@@ -60,19 +59,15 @@ class Extensions(Generic[T]):
         self._added: dict[str, T] = {}
 
     def all(self) -> tuple[T, ...]:
-        """Return what installed packages and this process have added, in alphabetical order.
-
-        Raises:
-            ExtensionError: an installed package's cannot be loaded, or is of another type.
+        """Return what installed packages and this process have added, by name; `ExtensionError` where an installed
+        package's cannot be loaded, or is of another type.
         """
         found = self._installed | self._added
         return tuple(found[name] for name in sorted(found))
 
     def add(self, item: T, built_in: Collection[str] = ()) -> None:
-        """Add to the list of this process; an item added before under the same name is replaced.
-
-        Raises:
-            InvalidInputError: its name is taken.
+        """Add to the list of this process, in place of an earlier one of this name; a built-in name raises
+        `InvalidInputError`.
         """
         if self._name(item) in built_in:
             raise InvalidInputError(f"{self._name(item)!r} is the name of one that is built in; choose another")

@@ -41,11 +41,7 @@ def log(q: Array) -> Array:
 
 
 def right_jacobian_inverse(rotvec: Array) -> Array:
-    """Return derivatives (..., 3, 3) of log(exp(v) exp(d)) by d at d = 0 (Sola et al. 2018, eq. 144).
-
-    Args:
-        rotvec: v, (..., 3) rad.
-    """
+    """Return derivatives (..., 3, 3) of log(exp(v) exp(d)) by d at d = 0, v in rad (Sola et al. 2018, eq. 144)."""
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, 1e-3)
     factor = np.where(angle > 1e-3, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12)
@@ -54,10 +50,8 @@ def right_jacobian_inverse(rotvec: Array) -> Array:
 
 
 def right_jacobian(rotvec: Array) -> Array:
-    """Return derivatives (..., 3, 3) of log(exp(v)^-1 exp(v + d)) by d at d = 0 (Sola et al. 2018, eq. 143).
-
-    Args:
-        rotvec: v, (..., 3) rad.
+    """Return derivatives (..., 3, 3) of log(exp(v)^-1 exp(v + d)) by d at d = 0, v in rad (Sola et al. 2018, eq.
+    143).
     """
     angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
     safe = np.maximum(angle, 1e-3)

@@ -28,13 +28,8 @@ def cache_folder() -> Path:
 
 
 def model_path(name: str) -> Path:
-    """Return the path of a shipped file or folder, in an installation or a checkout.
-
-    Args:
-        name: path inside the models folder, e.g. ``"skeleton.toml"``.
-
-    Raises:
-        FileFormatError: it does not exist; the message lists the files that do.
+    """Return the path of a shipped file or folder, e.g. ``"skeleton.toml"``, in an installation or a checkout;
+    `FileFormatError`, which lists the files there are, where it does not exist.
     """
     for folder in (PACKAGED, CHECKOUT):
         if (folder / name).exists():
@@ -48,13 +43,8 @@ def model_path(name: str) -> Path:
 
 
 def lifter_path(lifter: str | Path | None) -> Path:
-    """Return the weights file of a lifter.
-
-    Args:
-        lifter: a name in `LIFTERS` or a file; the default lifter if None.
-
-    Raises:
-        FileFormatError: it is neither.
+    """Return the weights file of a lifter: a name in `LIFTERS` or a file, else `FileFormatError`; the default one if
+    None.
     """
     name = DEFAULT_LIFTER if lifter is None else str(lifter)
     path = model_path(LIFTERS[name]) if name in LIFTERS else Path(name)

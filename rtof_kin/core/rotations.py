@@ -49,12 +49,8 @@ def log(R: ArrayLike) -> Array:
 
 
 def angle_between(R_a: ArrayLike, R_b: ArrayLike) -> Array:
-    """Return the angle (...), rad, between orientations.
-
-    Computed from the chord ``|R_a - R_b|_F = 2 sqrt(2) sin(angle / 2)``, which is precise near 0.
-
-    Args:
-        R_a, R_b: (..., 3, 3).
+    """Return the angle (...), rad, between orientations (..., 3, 3), from the chord ``|R_a - R_b|_F = 2 sqrt(2)
+    sin(angle / 2)``, which is precise near 0.
     """
     chord = np.linalg.norm(np.asarray(R_a) - np.asarray(R_b), axis=(-2, -1))
     return np.asarray(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)))
@@ -74,11 +70,7 @@ def about_axis(axis: str, angle: ArrayLike) -> Array:
 
 
 def unit(v: ArrayLike) -> Array:
-    """Return vectors divided by their norms; the zero vector stays zero.
-
-    Args:
-        v: (..., 3).
-    """
+    """Return vectors (..., 3) divided by their norms; the zero vector stays zero."""
     v = np.asarray(v, dtype=float)
     norm = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.asarray(np.divide(v, norm, out=np.zeros_like(v), where=norm > 0))
@@ -91,12 +83,9 @@ def angle_about(axis: Array, R: Array) -> float:
 
 
 def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the rotations (..., 3, 3) of smallest angle that turn direction a into direction b.
-
-    For opposite directions an arbitrary axis perpendicular to `a` is used; `kinematics.swing` chooses it over time.
-
-    Args:
-        a, b: (..., 3), of any length. A zero vector gives the identity.
+    """Return the rotations (..., 3, 3) of smallest angle that turn direction a into b (..., 3), of any length. For
+    opposite directions an arbitrary axis perpendicular to `a` is used; `kinematics.swing` chooses it over time. A zero
+    vector gives the identity.
     """
     a, b = np.broadcast_arrays(unit(a), unit(b))
     cos = np.sum(a * b, axis=-1)
@@ -129,12 +118,8 @@ def _half_turn(a: Array, cross: Array) -> Array:
 
 
 def nearest_rotation(M: ArrayLike) -> Array:
-    """Return the rotations (..., 3, 3) that maximise ``trace(R^T M)`` (Kabsch 1976, Umeyama's sign).
-
-    With ``M = sum_i w_i b_i a_i^T`` this is the weighted least-squares rotation that maps a_i to b_i.
-
-    Args:
-        M: (..., 3, 3).
+    """Return the rotations (..., 3, 3) that maximise ``trace(R^T M)`` (Kabsch 1976, Umeyama's sign). With ``M = sum_i
+    w_i b_i a_i^T`` this is the weighted least-squares rotation that maps a_i to b_i.
     """
     U, _, Vt = np.linalg.svd(np.asarray(M, dtype=float))
     sign = np.sign(np.linalg.det(U @ Vt))
@@ -168,11 +153,7 @@ def to_quat_wxyz(R: ArrayLike) -> Array:
 
 
 def known_from_quat_wxyz(quat_wxyz: Array) -> Array:
-    """Return rotation matrices (..., 3, 3) of quaternions; NaN as a whole where a number is not finite.
-
-    Args:
-        quat_wxyz: (..., 4), scalar first.
-    """
+    """Return the rotation matrices (..., 3, 3) of quaternions, scalar first; NaN as a whole where not finite."""
     known = np.isfinite(quat_wxyz).all(axis=-1)
     R = np.full((*known.shape, 3, 3), np.nan)
     R[known] = from_quat_wxyz(quat_wxyz[known])
@@ -180,11 +161,7 @@ def known_from_quat_wxyz(quat_wxyz: Array) -> Array:
 
 
 def known_to_quat_wxyz(R: Array) -> Array:
-    """Return quaternions (..., 4), scalar first; NaN as a whole where a matrix is not finite.
-
-    Args:
-        R: (..., 3, 3).
-    """
+    """Return the quaternions (..., 4), scalar first, of matrices; NaN as a whole where not finite."""
     known = np.isfinite(R).all(axis=(-2, -1))
     quat = np.full((*known.shape, 4), np.nan)
     quat[known] = to_quat_wxyz(R[known])
@@ -192,11 +169,7 @@ def known_to_quat_wxyz(R: Array) -> Array:
 
 
 def known_exp(rotvec: Array) -> Array:
-    """Return rotation matrices (..., 3, 3) of rotation vectors; NaN as a whole where a number is not finite.
-
-    Args:
-        rotvec: (..., 3) rad.
-    """
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad; NaN as a whole where not finite."""
     known = np.isfinite(rotvec).all(axis=-1)
     R = np.full((*known.shape, 3, 3), np.nan)
     R[known] = exp(rotvec[known])
@@ -204,11 +177,7 @@ def known_exp(rotvec: Array) -> Array:
 
 
 def known_log(R: Array) -> Array:
-    """Return rotation vectors (..., 3), rad; NaN as a whole where a matrix is not finite.
-
-    Args:
-        R: (..., 3, 3).
-    """
+    """Return the rotation vectors (..., 3), rad, of matrices (..., 3, 3); NaN as a whole where not finite."""
     known = np.isfinite(R).all(axis=(-2, -1))
     rotvec = np.full((*known.shape, 3), np.nan)
     rotvec[known] = log(R[known])
@@ -216,10 +185,8 @@ def known_log(R: Array) -> Array:
 
 
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
-    """Return whether all matrices are orthonormal and right-handed; NaN is not.
-
-    Args:
-        R: (..., 3, 3). tolerance: largest deviation of a dot or cross product of rows.
+    """Return whether all matrices (..., 3, 3) are orthonormal and right-handed, dot and cross products of rows to
+    `tolerance`; NaN is not.
     """
     R = np.asarray(R, dtype=float)
     if not np.all(np.abs(R) <= 1 + tolerance):  # also if one is NaN or infinite
@@ -233,11 +200,8 @@ def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
 
 
 def euler_to_matrix(order: str, angles: ArrayLike) -> Array:
-    """Return the product (..., 3, 3) of three coordinate rotations.
-
-    Args:
-        order: three different axes, e.g. 'yxz' for ``R = R_y(a0) R_x(a1) R_z(a2)``.
-        angles: (..., 3) rad, in that order.
+    """Return the product (..., 3, 3) of rotations about three different axes by angles (..., 3), rad, in their order:
+    of 'yxz' ``R = R_y(a0) R_x(a1) R_z(a2)``.
     """
     angles = np.asarray(angles, dtype=float)
     first, second, third = (about_axis(axis, angles[..., i]) for i, axis in enumerate(order))
@@ -245,12 +209,8 @@ def euler_to_matrix(order: str, angles: ArrayLike) -> Array:
 
 
 def matrix_to_euler(order: str, R: ArrayLike) -> Array:
-    """Return the angles (..., 3), rad, of `euler_to_matrix`, the middle one in [-pi/2, pi/2].
-
-    At a singular posture (middle angle +-90 degrees) the first angle is 0 and the third is the whole turn.
-
-    Args:
-        R: (..., 3, 3).
+    """Return the angles (..., 3), rad, of `euler_to_matrix`, the middle one in [-pi/2, pi/2]. At a singular posture
+    (middle angle +-90 degrees) the first angle is 0 and the third is the whole turn.
     """
     R = np.asarray(R, dtype=float)
     i, j, k = ("xyz".index(axis) for axis in order)
@@ -267,12 +227,8 @@ def matrix_to_euler(order: str, R: ArrayLike) -> Array:
 
 
 def euler_near(angles: ArrayLike, reference: ArrayLike) -> Array:
-    """Return the equivalent Euler angles (..., 3) nearest to a reference.
-
-    Every rotation has two triples modulo whole turns: (a, b, c) and (a + pi, pi - b, c + pi).
-
-    Args:
-        angles, reference: (..., 3) rad, three different axes.
+    """Return the equivalent Euler angles (..., 3), rad, of three different axes that are nearest to a reference. Every
+    rotation has two triples modulo whole turns: (a, b, c) and (a + pi, pi - b, c + pi).
     """
     angles, reference = np.asarray(angles, dtype=float), np.asarray(reference, dtype=float)
     turned = np.stack([angles[..., 0] + np.pi, np.pi - angles[..., 1], angles[..., 2] + np.pi], -1)
@@ -286,13 +242,9 @@ def euler_near(angles: ArrayLike, reference: ArrayLike) -> Array:
 
 
 def euler_continuous(angles: ArrayLike) -> Array:
-    """Return Euler angles (T, ..., 3) on the branch nearest to the frame before, unwrapped over time.
-
-    The distance between the branches of two frames (see `euler_near`) is symmetric, so whether to change
-    branch does not depend on the current one: the branch is the parity of the changes so far.
-
-    Args:
-        angles: (T, ..., 3) rad, three different axes, finite.
+    """Return Euler angles (T, ..., 3), rad, of three different axes, finite, on the branch nearest to the frame before,
+    unwrapped over time. The distance between the branches of two frames (see `euler_near`) is symmetric, so whether to
+    change branch does not depend on the current one: the branch is the parity of the changes so far.
     """
     angles = np.asarray(angles, dtype=float)
     other = np.array([1.0, -1.0, 1.0]) * angles + np.pi

@@ -48,10 +48,8 @@ def _in_gap(t: Array, at: Array, max_gap: float) -> Mask:
 
 
 def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
-    """Interpolate rotations on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives NaN.
-
-    Args:
-        times: (T,) s, increasing. R: (T, S, 3, 3). at, max_gap: see `interpolate`.
+    """Interpolate rotations (T, S, 3, 3) on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives
+    NaN.
     """
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)
@@ -103,19 +101,13 @@ def hat_average(times: Array, values: Array, at: ArrayLike, half_width: float, m
 
 
 def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:
-    """Return finite differences (T - order, ...) along the first axis, times rate**order.
-
-    Args:
-        values: (T, ...). rate_hz: sampling rate, Hz.
-    """
+    """Return finite differences (T - order, ...) of samples at `rate_hz` along the first axis, times rate**order."""
     return np.asarray(np.diff(np.asarray(values, dtype=float), n=order, axis=0) * rate_hz**order)
 
 
 def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2) -> Array:
-    """Apply a zero-phase Butterworth low-pass along the first axis, forwards and backwards.
-
-    Args:
-        values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency of one pass, Hz.
+    """Apply a zero-phase Butterworth low-pass (-3 dB of one pass at `cutoff_hz`) along the first axis, forwards and
+    backwards.
     """
     from scipy import signal  # slow to import
 
@@ -132,10 +124,8 @@ def _butterworth(order: int, cutoff_hz: float, rate_hz: float) -> Array:
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
-    """Apply `low_pass` to each interval without NaN of a signal at even times.
-
-    Args:
-        times: (T,) s. values: (T, n). cutoff_hz: Hz; from half the sampling rate on, nothing is filtered.
+    """Apply `low_pass` to each interval without NaN of values (T, n) at even times (T,), s. From half the sampling rate
+    on, nothing is filtered.
     """
     rate_hz = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     out = np.array(values, dtype=float)
@@ -147,11 +137,7 @@ def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
 
 
 def vertex(before: float, most: float, after: float) -> float:
-    """Return where the parabola through three values has its maximum, in steps from the middle one.
-
-    Args:
-        before, most, after: at -1, 0 and 1; the middle one is the largest.
-    """
+    """Return where the parabola through values at -1, 0 and 1, the middle one the largest, has its maximum."""
     return float((before - after) / (2 * min(before - 2 * most + after, -1e-9)))
 
 

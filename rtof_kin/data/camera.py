@@ -185,18 +185,14 @@ class CameraTurning:
         return replace(self, R_still_camera=R[:, 0])
 
     def followed_by(self, R_other_still: Array, K_other: Array) -> Self:
-        """Return the same for keypoints that were turned once more.
-
-        Args:
-            R_other_still: (T, 3, 3) axes of the still camera to those of another.
+        """Return the same for keypoints that were turned once more, from the axes of the still camera to those of
+        another.
         """
         return replace(self, R_still_camera=R_other_still @ self.R_still_camera, K_still=K_other)
 
     def in_video(self, uv_still: Array, frames: Any) -> Array:
-        """Return pixels (n, ..., 2) of the video; NaN where the camera looked elsewhere.
-
-        Args:
-            uv_still: (n, ..., 2) pixels of the still camera.
+        """Return pixels (n, ..., 2) of the video for those of the still camera; NaN where the camera looked
+        elsewhere.
         """
         xy = (uv_still - self.K_still[:2, 2]) @ np.linalg.inv(self.K_still[:2, :2]).T
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)

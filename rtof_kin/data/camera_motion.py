@@ -95,13 +95,8 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
 
 
 def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple[Array, Camera]:
-    """Return rotations (T, 3, 3) from the camera to one that stands still, and that one; see `stabilised`.
-
-    Args:
-        times: (T,) s, of its frames.
-
-    Raises:
-        InvalidInputError: see `stabilised`.
+    """Return rotations (T, 3, 3) from the camera, at times (T,) s of its frames, to one that stands still, and that
+    one; see `stabilised`, whose errors are raised.
     """
     if camera.stabilised:
         raise InvalidInputError("camera motion: these keypoints are stabilised already; leave it out")
@@ -129,14 +124,8 @@ def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple
 
 
 def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) -> KeypointSequence:
-    """Return keypoints as another camera at the same place sees them.
-
-    Args:
-        R_camera_seen: (T, 3, 3) axes of their camera to those of the other; NaN where unknown.
-        camera: the other, without distortion.
-
-    Returns:
-        Keypoints; missing where the rotation is, or more than 65 degrees from the axis of the other camera.
+    """Return keypoints as another camera at the same place, without distortion, sees them, by rotations (T, 3, 3) of
+    their axes to its; missing where the rotation is, or more than 65 degrees from the axis of the other camera.
     """
     xy = keypoints.camera.normalise(keypoints.uv_px)
     rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)

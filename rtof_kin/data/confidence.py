@@ -114,11 +114,7 @@ def joined(parts: Sequence[Confidence]) -> Confidence:
 
 
 def valid_covariances(matrices: Array) -> Mask:
-    """Return a mask (...) of matrices without a negative variance, to rounding; also of those that are NaN.
-
-    Args:
-        matrices: (..., 3, 3), symmetric.
-    """
+    """Return a mask (...) of symmetric matrices (..., 3, 3) without a negative variance, to rounding, or NaN."""
     size = np.abs(matrices).max(axis=(-2, -1), initial=0.0)
     least = _least_minors((matrices / np.maximum(size, 1e-300)[..., None, None]).reshape(-1, 3, 3))
     return ~(least < -_ROUNDING).reshape(size.shape)

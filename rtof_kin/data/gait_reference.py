@@ -100,10 +100,6 @@ class GaitReference:
                 )
         if self.people < 1:
             raise InvalidInputError(f"gait reference people: {self.people}; at least one is needed")
-        self._check_values()
-        self._check_people()
-
-    def _check_values(self) -> None:
         if np.isnan(self.mean).all():
             raise InvalidInputError("gait reference mean: no variable has values")
         for variable, mean, sd in zip(VARIABLES, self.mean, self.sd, strict=True):
@@ -117,6 +113,7 @@ class GaitReference:
                 )
             if np.isinf(sd).any() or np.any(sd < 0):
                 raise InvalidInputError(f"gait reference {variable.name}: a standard deviation is negative")
+        self._check_people()
 
     def _check_people(self) -> None:
         set_: Any = object.__setattr__

@@ -55,10 +55,8 @@ class UnitCheck:
         self._still &= (R[1:] == R[:-1]).all(axis=(0, 2, 3))
 
     def check(self, names: Sequence[str]) -> None:
-        """Check the samples that were added.
-
-        Raises:
-            UnitError: a sensor's unit is another one, or its gravity was removed.
+        """Check the samples that were added; `UnitError` where a sensor's unit is another one, or its gravity was
+        removed.
         """
         norms = np.concatenate(self._norms)
         turned = np.sum(self._turned, axis=0)
@@ -69,12 +67,9 @@ class UnitCheck:
 
 
 def _check_unit(name: str, norm: Array, turned: Array) -> None:
-    """Check the specific force of a sensor.
-
-    A norm contains gravity, in any unit, if it is rarely small, or if most of it is constant in the inertial reference.
-
-    Args:
-        norm: (T,). turned: (4,) sum of the known samples in the inertial reference, and their number.
+    """Check the specific force of a sensor, of norms (T,), by the sum (4,) of the known samples in the inertial
+    reference, and their number. A norm contains gravity, in any unit, if it is rarely small, or if most of it is
+    constant in the inertial reference.
     """
     median = float(np.nanmedian(norm))
     feels_gravity = np.nanquantile(norm, 0.1) > 0.7 * median or (
@@ -282,7 +277,17 @@ class BoneImuSequence:
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Rotations of each sensor to world and to its segment, and its position in the segment."""
+    """Rotations of each sensor to world and to its segment, and its position in the segment.
+
+    ::
+
+        R_world_bone = R_world_inertial . R_inertial_sensor . R_sensor_bone
+        a_world      = R_world_inertial . R_inertial_sensor . f_sensor + g,    g = (0, 0, -9.80665)
+
+    The paper has R^imu = R_kj^-1 R_kg R_k (eq. 1); the frames close only in the order above, with
+    R_kg = R_world_inertial, R_k = R_inertial_sensor and R_kj = R_sensor_bone^-1. It subtracts an upward g (eq. 6);
+    here g points down and is added.
+    """
 
     sensors: tuple[str, ...]
     """S sensor names."""

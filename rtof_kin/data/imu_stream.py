@@ -35,7 +35,10 @@ _UPRIGHT: dict[str, Array] = {
 
 @dataclass(frozen=True)
 class Declaration:
-    """Units and conventions of a file. The defaults are those of this package."""
+    """Units and conventions of a file. The defaults are those of this package.
+
+    A format has a declaration, which the user may change; `rtof_kin.inertial.physics` checks it against the data.
+    """
 
     acceleration_unit: AccelerationUnit = "m/s2"
     gravity: Gravity = "included"

@@ -32,11 +32,7 @@ def detector_point(layout: str, point: str) -> str:
 
 
 def layout_and_point(name: str) -> tuple[str, str]:
-    """Return the layout and the point of a name; a landmark of the skeleton has the layout ``""``.
-
-    Args:
-        name: in a `KeypointSequence`.
-    """
+    """Return layout and point of a name in a `KeypointSequence`; a landmark of the skeleton has the layout ``""``."""
     layout, _, point = name.rpartition(_OF)
     return layout, point
 

@@ -134,10 +134,8 @@ def existing(path: Path, what: str, remedy: str) -> Path:
 
 
 def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Array]]) -> SensorLog:
-    """Return the sensors of a file that has orientations alone.
-
-    Args:
-        what: the format. sensors: name -> times (T,), s, and quaternions w, x, y, z (T, 4).
+    """Return the sensors of a file that has orientations alone: times (T,), s, and quaternions w, x, y, z
+    (T, 4) by name.
 
     Raises:
         FileFormatError: no quaternions, or no sensors.
@@ -177,7 +175,10 @@ HINGES: Final = {
 def hinge_table(times: Array, centres: Mapping[str, Array]) -> OpenSimTable:
     """Return the flexion, rad, of the hinges whose three centres are known.
 
-    Centres are joint -> (T, 3) in any one unit, at times (T,) s; NaN where unknown.
+    Centres are joint -> (T, 3) in any one unit, at times (T,) s; NaN where unknown. The flexion is the angle between
+    the long axes of both segments, unsigned, 0 where they are in line: markers define it without any convention of
+    segment axes. Against another definition of zero it is off by a few degrees, which the error without offset leaves
+    out.
     """
     found = {
         name: _flexion(*(centres[joint] for joint in joints))
@@ -195,7 +196,7 @@ def _flexion(before: Array, at: Array, after: Array) -> Array:
 
 
 def hip_centres(markers: Mapping[str, Array]) -> dict[str, Array]:
-    """Return both hip centres (T, 3) m from the pelvis (Harrington et al. 2007, simple regressions).
+    """Return both hip centres (T, 3) m from the pelvis (simple regressions of Harrington et al., J Biomech 40, 2007).
 
     Markers are 'right_asis', 'left_asis', 'right_psis', 'left_psis' -> (T, 3) m, in any axes.
     """

@@ -76,20 +76,12 @@ class FileIndex:
     """Files whose name and folders do not give subject and take."""
 
     def one(self, take: Take, kind: str) -> Path | None:
-        """Return the file of one of `KINDS`, or None.
-
-        Raises:
-            FileFormatError: there are several, and they differ.
-        """
+        """Return the file of one of `KINDS`, or None; raises FileFormatError: there are several, and they differ."""
         return only_one(self.files.get(take, {}).get(kind, []))
 
 
 def only_one(candidates: list[Path]) -> Path | None:
-    """Return the first of several equal files, or None without any.
-
-    Raises:
-        FileFormatError: they differ.
-    """
+    """Return the first of several equal files, or None without any; raises FileFormatError: they differ."""
     if not candidates:
         return None
     first, *others = candidates
@@ -127,7 +119,8 @@ def find_files(root: str | Path) -> FileIndex:
             index.unassigned.append(path)
         else:
             index.files.setdefault(take, {}).setdefault(kind, []).append(path)
-    _forget_second_names(index)
+    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
+    index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]  # second names, of links
     if not index.files:
         problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
         if index.unassigned:
@@ -137,12 +130,6 @@ def find_files(root: str | Path) -> FileIndex:
         for path in paths:
             _log.warning("%s: %s; not used", path, reason)
     return index
-
-
-def _forget_second_names(index: FileIndex) -> None:
-    """Drop unassigned paths (of links) to files that were found under another path."""
-    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
-    index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]
 
 
 def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
@@ -208,6 +195,13 @@ def read_detections(
     layout: str | None = None,
 ) -> KeypointSequence:
     """Read the detections in the video of one take and camera.
+
+    Files are found by name at any depth, case-insensitively: ``TC_S5_acting3_cam1.npz``, ``S5_acting3_cam1.npz``, or
+    ``cam1.npz`` in folders ``S5/acting3``. An .npz has ``uv_px`` (T, L, 2) and optionally ``confidence`` (T, L) and
+    ``times`` (T,), s; its landmarks are listed in a file ``landmarks.txt`` in the folder (by default all joints of the
+    skeleton in its order). A .csv has the columns of a recording's keypoints. Without times, frame k is frame k of the
+    video. With a layout they are a detector's own files, of any format in `rtof_kin.vision.keypoint_files` (a folder of
+    .json is named like a file), whose points are converted to landmarks.
 
     Args:
         skeleton: that has the landmarks; the 21-joint one by default.

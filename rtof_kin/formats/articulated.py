@@ -86,10 +86,8 @@ class ArticulatedMotion:
         return indices_of("joint", [name], self.names)[0]
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Return the motion with other names for some joints.
-
-        Raises:
-            UnknownNameError: no such joint. InvalidInputError: two joints would have one name.
+        """Return the motion with other names for some joints; `UnknownNameError` for no such joint, `InvalidInputError`
+        where two would have one name.
         """
         indices_of("joint", list(names), self.names)
         return replace(self, names=tuple(names.get(name, name) for name in self.names))

@@ -37,16 +37,9 @@ class _Joint:
 
 
 def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotion:
-    """Read a BVH file, in its own axes and length unit.
-
-    Args:
-        rate_hz: frames per second, where the file's are missing or wrong.
-
-    Returns:
-        The motion. `p_parent_joint` is set where joints other than the root move in their parent.
-
-    Raises:
-        FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
+    """Read a BVH file, in its own axes and length unit; `rate_hz` is for frames per second that are missing or wrong in
+    it. `p_parent_joint` is set where joints other than the root move in their parent. `FileFormatError`, which names
+    the line: no such file, incomplete, inconsistent or not finite.
     """
     return read_bvh_frames(path, rate_hz).motion(slice(None))
 

@@ -49,11 +49,7 @@ _SHAPES = {
 
 
 def read_camera_motion(path: Path) -> CameraMotion:
-    """Read the motion of a camera.
-
-    Raises:
-        FileFormatError: damaged, or an array is missing, unknown or of another shape.
-    """
+    """Read the motion of a camera; `FileFormatError`: damaged, or an array is missing, unknown or of another shape."""
     arrays = read_npz(path)
     wrong = [name for name in arrays if name not in _SHAPES] or [n for n in list(_SHAPES)[:2] if n not in arrays]
     if wrong:
@@ -73,11 +69,7 @@ def read_camera_motion(path: Path) -> CameraMotion:
 
 
 def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = False) -> None:
-    """Write a motion; `read_camera_motion` restores it exactly.
-
-    Raises:
-        OutputExistsError: the file exists and may not be replaced. RtofError: it cannot be written.
-    """
+    """Write a motion, which `read_camera_motion` restores exactly; errors as `core.files.folder.new_file`."""
     arrays = {
         "times": motion.times,
         "R_first_camera": motion.R_first_camera,
@@ -108,14 +100,7 @@ def video_arrays(keypoints: KeypointSequence) -> dict[str, Array]:
 
 
 def with_video(keypoints: KeypointSequence, arrays: Mapping[str, Array]) -> KeypointSequence:
-    """Return keypoints with what `video_arrays` wrote of them.
-
-    Args:
-        arrays: of their file; others than those of the table are ignored.
-
-    Raises:
-        InvalidInputError: an array is missing or has a wrong shape.
-    """
+    """Return keypoints with what `video_arrays` wrote of them, else `InvalidInputError`; other arrays are ignored."""
     if "video_times" in arrays:
         keypoints = replace(keypoints, own_times=arrays["video_times"])
     given = [name for name in _TURNING if name in arrays]

@@ -115,14 +115,7 @@ def _camera(table: CameraOfTool, R_world_file: Array, metres_per_unit: float) ->
 
 
 def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
-    """Convert a camera's translation to metres and check that it can be in metres.
-
-    Args:
-        t: (3,) in the file's unit. metres_per_unit: that unit, m.
-
-    Raises:
-        UnitError: the camera is more than `FURTHEST` away.
-    """
+    """Convert a camera's translation (3,) in the file's unit to metres; more than `FURTHEST` is a `UnitError`."""
     t = t * metres_per_unit
     far = float(np.linalg.norm(t))
     if far > FURTHEST:

@@ -250,10 +250,8 @@ def _tables(path: Path, content: Mapping[str, Any]) -> dict[str, Mapping[str, An
 
 
 def _numbered(content: Mapping[str, Any], number: int) -> dict[str, Any]:
-    """Return one camera's entries of several in one table, e.g. M1, D1, R1, T1, without the number.
-
-    In a stereo pair R and T lead from the first camera to the second; R1 and R2 beside them rectify
-    images and are no poses.
+    """Return one camera's entries of several in one table, e.g. M1, D1, R1, T1, without the number. In a stereo pair R
+    and T lead from the first camera to the second; R1 and R2 beside them rectify images and are no poses.
     """
     shared = {key: value for key, value in content.items() if not key[-1:].isdigit()}
     own = {k[:-1].rstrip("_"): v for k, v in content.items() if k.endswith(str(number)) and k[:-1]}

@@ -103,11 +103,7 @@ class SensorChannels:
     """(3,)"""
 
     def readings(self, times: Array, values: Array) -> Readings:
-        """Return this sensor's readings.
-
-        Args:
-            times: (T,) s. values: (T, C) of the stream.
-        """
+        """Return this sensor's readings of the stream's values (T, C) at times (T,), s."""
         acceleration, gyroscope, magnetometer, quaternions = (
             None if columns is None else np.asarray(values[:, columns], dtype=float)
             for columns in (self.acceleration, self.gyroscope, self.magnetometer, self.quaternions)
@@ -296,13 +292,8 @@ class PointChannels:
 
     @classmethod
     def of(cls, stream: str, labels: Sequence[str], units: Sequence[str] = ()) -> PointChannels:
-        """Return what the channels hold: ``<landmark>_x``, ``_y`` in px, and ``_confidence``.
-
-        Args:
-            labels, units: of each channel; units may be empty.
-
-        Raises:
-            InvalidInputError: no point, one without x or y, a channel twice, or coordinates not in px.
+        """Return what the channels hold: ``<landmark>_x``, ``_y`` in px, and ``_confidence``; units may be empty.
+        `InvalidInputError`: no point, one without x or y, a channel twice, or coordinates not in px.
         """
         found: dict[str, dict[str, int]] = {}
         for column, label in enumerate(labels):
@@ -329,10 +320,8 @@ class PointChannels:
         return cls(len(labels), tuple(found), uv, np.array([parts.get("c", -1) for parts in found.values()]))
 
     def points(self, values: Array) -> tuple[Array, Array]:
-        """Return uv_px (T, L, 2), NaN where unseen, and confidence (T, L) in [0, 1], 0 where unseen.
-
-        Args:
-            values: (T, C) of the stream.
+        """Return uv_px (T, L, 2), NaN where unseen, and confidence (T, L) in [0, 1], 0 where unseen, of values
+        (T, C).
         """
         uv = np.array(values[:, self.uv], dtype=float)
         confidence = np.where(self.confidence < 0, 1.0, values[:, self.confidence]).clip(0, 1)

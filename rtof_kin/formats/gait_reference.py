@@ -93,11 +93,8 @@ class ReferenceTable(InputTable):
 
 
 def read_gait_reference(path: str | Path) -> GaitReference:
-    """Read a reference.
-
-    Raises:
-        FileFormatError: it is none, or a field is missing or wrong, which is named. UnknownNameError: unknown
-            field or variable.
+    """Read a reference. `FileFormatError`: it is none, or a field is missing or wrong, which is named;
+    `UnknownNameError`: unknown field or variable.
     """
     path = Path(path)
     data = load_json(path, LARGEST, "a reference of gait scores, which rtof-kin gait-reference writes")
@@ -149,11 +146,7 @@ def _curves(person: PersonTable, side: str) -> list[Array]:
 
 
 def write_gait_reference(path: str | Path, reference: GaitReference, overwrite: bool = False) -> None:
-    """Write a reference, to a millionth of a degree.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. WritingError: it cannot be written.
-    """
+    """Write a reference, to a millionth of a degree; errors as `core.files.folder.new_file`."""
     about = {name: getattr(reference, name) for name in ("licence", "source", "system", "zero", "people")}
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION} | about | {"unit": "deg"}
     if reference.speed_range is not None:

@@ -104,10 +104,8 @@ def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, ov
 
 
 def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) -> ImuCalibration | None:
-    """Return the calibration in the tables of sensors by name; None where there are none.
-
-    Args:
-        skeleton: as for `read_imu_calibration_toml`, whose errors are raised.
+    """Return the calibration in the tables of sensors by name; None without any. Raises as
+    `read_imu_calibration_toml`.
     """
     joints, levers = [], []
     for name, own in sensors.items():

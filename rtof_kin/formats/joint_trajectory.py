@@ -34,13 +34,8 @@ WORLD_FRAME: Final = "world"
 
 
 def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
-    """Central differences on the configuration manifold, one-sided at the ends.
-
-    Args:
-        q: (T, nq) configurations. times: (T,) s.
-
-    Returns:
-        (T, nv) in Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
+    """Return velocities (T, nv) of configurations (T, nq) at times (T,), s, by central differences on the manifold,
+    one-sided at the ends; in Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
     """
     if len(q) < 2:
         return np.zeros((len(q), skeleton.nv))
@@ -92,10 +87,8 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
 
 
 def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
-    """Read column names and numbers (T, columns) of a trajectory written here.
-
-    Raises:
-        FileFormatError: missing, or not a table of numbers whose first column is `time`.
+    """Read column names and numbers (T, columns) of a trajectory written here; `FileFormatError`: missing, or not a
+    table of numbers whose first column is `time`.
     """
     columns = read_csv(Path(path))
     table = np.stack(list(columns.values()), axis=-1)
@@ -165,19 +158,11 @@ def ros_time(seconds: float) -> dict[str, int]:
 
 
 def ros_header(seconds: float) -> dict[str, Any]:
-    """Return a std_msgs/Header of something in world.
-
-    Args:
-        seconds: its time, s.
-    """
+    """Return a std_msgs/Header of something in world at a time, s."""
     return {"stamp": ros_time(seconds), "frame_id": WORLD_FRAME}
 
 
 def ros_transform(q: Sequence[float]) -> dict[str, dict[str, float]]:
-    """Return the geometry_msgs/Transform of the root link in world.
-
-    Args:
-        q: configuration; its first seven numbers.
-    """
+    """Return the geometry_msgs/Transform of the root link in world: the configuration's first seven numbers."""
     translation = dict(zip("xyz", q[:3], strict=True))
     return {"translation": translation, "rotation": dict(zip("xyzw", q[3:7], strict=True))}

@@ -1,4 +1,4 @@
-"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.measurements`.
+"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.keypoints.Measurements`.
 
 The bytes of the array `header` are JSON: names, cameras and faults. The others have the attributes unit, frame, shape:
 
@@ -94,11 +94,7 @@ class MeasurementsReader:
     """
 
     def __init__(self, path: str | Path):
-        """Read what does not change over time.
-
-        Raises:
-            FileFormatError: missing, damaged, of a newer schema, or an array is missing.
-        """
+        """Read what does not change over time; errors as `read_measurements`."""
         self.path = Path(path)
         with ExitStack() as failed:
             self._file = file = failed.enter_context(ArrayFile(self.path))
@@ -135,10 +131,8 @@ class MeasurementsReader:
 
     def read(self, start: int | None = None, stop: int | None = None) -> Measurements:
         """Return frames [start, stop), by default from the first to the last, with the faults of all.
-
-        Raises:
-            FileFormatError: the file is damaged, or something in these frames is missing or invalid.
-            InvalidInputError: there are no such frames.
+        `FileFormatError`: the file is damaged, or something in these frames is missing or invalid; `InvalidInputError`:
+        no such frames.
         """
         start, stop = start or 0, len(self) if stop is None else stop
         if not 0 <= start < stop <= len(self):
@@ -157,21 +151,15 @@ class MeasurementsReader:
 
 
 def read_measurements(path: str | Path) -> Measurements:
-    """Read a whole file; nothing in it is executed.
-
-    Raises:
-        FileFormatError: missing, damaged, of a newer schema, or an array is missing or has a wrong shape.
+    """Read a whole file; nothing in it is executed. `FileFormatError`: missing, damaged, of a newer schema, or an array
+    is missing or has a wrong shape.
     """
     with MeasurementsReader(path) as reader:
         return reader.read()
 
 
 def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measurements:
-    """Return frames of a file.
-
-    Args:
-        arrays: float64, by name.
-    """
+    """Return frames of a file from its arrays, float64, by name."""
     times = arrays["times"]
     floor = header["floor_height"]
     full = 1 if header["schema_version"] == 1 else FULL
@@ -221,11 +209,7 @@ class MeasurementsWriter:
     """Writes measurements by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path) -> None:
-        """Write nothing yet.
-
-        Args:
-            path: the file, which is replaced.
-        """
+        """Write nothing yet; the file is replaced."""
         self._path = Path(path)
         self._arrays = Hdf5Writer(self._path, _ABOUT)
         self._header: dict[str, Any] | None = None
@@ -235,11 +219,7 @@ class MeasurementsWriter:
         self._last = -np.inf
 
     def __enter__(self) -> Self:
-        """Open the file.
-
-        Raises:
-            WritingError: it cannot be written.
-        """
+        """Open the file; `WritingError` where it cannot be written."""
         self._arrays.__enter__()
         return self
 
@@ -254,14 +234,8 @@ class MeasurementsWriter:
         return None
 
     def append(self, measurements: Measurements) -> None:
-        """Append the next frames.
-
-        Args:
-            measurements: of the same cameras, sensors and joints, with times after those before. Faults are
-                those of all blocks.
-
-        Raises:
-            InvalidInputError: others, or earlier times.
+        """Append the next frames, of the same cameras, sensors and joints and with later times, else
+        `InvalidInputError`. Faults are those of all blocks.
         """
         m = measurements
         header, (constant, rows) = _header(m), _arrays(m)
@@ -292,11 +266,7 @@ class MeasurementsWriter:
 
 
 def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write measurements over an existing file.
-
-    Raises:
-        RtofError: it cannot be written.
-    """
+    """Write measurements over an existing file; `RtofError` where it cannot be written."""
     with MeasurementsWriter(path) as writer:
         writer.append(measurements)
 

@@ -119,10 +119,8 @@ def motion_columns(motion: Motion, masks: ObservationMasks | None = None) -> lis
 
 
 def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
-    """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
+    """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``. Errors as
+    `core.files.folder.new_file`.
     """
     with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -143,12 +141,8 @@ def _cells(values: NDArray[Any]) -> list[str]:
 
 
 def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
-    """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
-    convention, skeleton and joint offsets in that of the table.
-
-    Raises:
-        RtofError: pyarrow is not installed, or the file cannot be written.
-        OutputExistsError: the file exists and `overwrite` is False.
+    """Write the table with units, clinical and OpenSim names in the metadata of its columns, and convention, skeleton
+    and joint offsets in that of the table. Errors as `core.files.folder.new_file`, and where pyarrow is not installed.
     """
     pa, parquet = (optional(name, "parquet", "Parquet") for name in ("pyarrow", "pyarrow.parquet"))
     source = MotionSource.of(motion)

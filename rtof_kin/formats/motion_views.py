@@ -84,13 +84,8 @@ def check_known(motion: AnyMotion) -> None:
 
 
 def even_times(times: Array) -> Array:
-    """Return the even grid (T,), s, nearest to measured times.
-
-    Args:
-        times: (T,) s.
-
-    Raises:
-        InvalidInputError: a time is more than `MOST_UNEVEN` frames beside the grid.
+    """Return the even grid (T,), s, nearest to measured times (T,), s; `InvalidInputError` where one is more than
+    `MOST_UNEVEN` frames beside it.
     """
     times = checked_times("motion times", times)
     even, step = np.linspace(times[0], times[-1], len(times), retstep=True)
@@ -117,15 +112,9 @@ def landmark_markers(motion: AnyMotion) -> MarkerBlocks:
 
 
 def joint_tree(motion: AnyMotion) -> Iterator[ArticulatedMotion]:
-    """Yield the skeleton as a tree of joints in blocks of frames, with end sites at the far ends of its leaves.
-
-    The y axis points up and lengths are in cm, as readers of BVH expect; a person who faces world x faces z.
-
-    Args:
-        motion: poses without unknown frames, at even times.
-
-    Raises:
-        InvalidInputError: a frame is unknown, or times are uneven.
+    """Yield the skeleton as a tree of joints in blocks of frames at even times, else `InvalidInputError`, as where a
+    frame is unknown, with end sites at the far ends of its leaves. The y axis points up and lengths are in cm, as
+    readers of BVH expect; a person who faces world x faces z.
     """
     check_known(motion)
     source, R_world_file = MotionSource.of(motion), world_of_file("y")

@@ -51,7 +51,7 @@ SUFFIXES: Final = (".mot", ".sto")
 _END: Final = "endheader"
 _STATE: Final = re.compile(r"(?:.*/)?([^/]+)/value")
 _OWN: Final = re.compile(r"Coordinates of the \.osim of the skeleton (\w+), zero in the T-pose")
-"""Line in the header of the files of `opensim_mot`."""
+"""Line in the header of this package's tables."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,8 @@ class OpenSimTable:
 
 
 def read_opensim_table(path: str | Path) -> OpenSimTable:
-    """Read coordinates of a ``.mot`` or ``.sto``.
-
-    Raises:
-        FileFormatError: no such file, not such a table, or without the unit of its rotations.
+    """Read coordinates of a ``.mot`` or ``.sto``; `FileFormatError`: no such file, not such a table, or without the
+    unit of its rotations.
     """
     path = Path(path)
     lines = read_text(path, f"an OpenSim table, whose header ends with {_END}").splitlines()
@@ -157,16 +155,12 @@ _CREDITS: Final = (
 
 
 def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = False) -> None:
-    """Write a skeleton as an OpenSim model.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
-    """
+    """Write a skeleton as an OpenSim model; errors as `core.files.folder.new_file`."""
     write_text(Path(path), to_osim(skeleton), overwrite)
 
 
 def to_osim(skeleton: SkeletonModel) -> str:
-    """Return the OpenSim model of a skeleton, XML; its angles are `opensim_mot.coordinates`."""
+    """Return the OpenSim model of a skeleton, XML; its angles are `coordinates`."""
     table = skeleton.table
     document = ET.Element("OpenSimDocument", Version=_VERSION)
     model = ET.SubElement(document, "Model", name=table.name)
@@ -275,11 +269,8 @@ class Coordinate:
 
 
 def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
-    """Return all coordinates: three rotations and three translations of the root, then three rotations of
-    each joint in the order of its axes.
-
-    Raises:
-        InvalidInputError: two would have one name.
+    """Return all coordinates: three rotations and three translations of the root, then three rotations of each joint in
+    the order of its axes; `InvalidInputError` where two would have one name.
     """
     root = table.names[0]
     out = [
@@ -304,13 +295,8 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
 
 
 def coordinate_values(motion: AnyMotion) -> tuple[tuple[Coordinate, ...], Array]:
-    """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
-
-    Args:
-        motion: its configurations must be known, see `formats.motion_views.pieces`.
-
-    Raises:
-        InvalidInputError: a configuration is unknown.
+    """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time; `InvalidInputError`
+    where a configuration is unknown.
     """
     source = MotionSource.of(motion)
     values = [values[block.own] for block, values in _value_blocks(source)]
@@ -336,11 +322,8 @@ def _value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
 
 
 def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
-    """Write coordinates, angles in degrees, without those that were never observed.
-
-    Raises:
-        InvalidInputError: a frame is unknown, or times are uneven.
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
+    """Write coordinates, angles in degrees, without those that were never observed. `InvalidInputError` where a frame
+    is unknown, or times are uneven; else errors as `core.files.folder.new_file`.
     """
     source = MotionSource.of(motion)
     every, unseen = coordinates(source.skeleton.table), never_observed(source.masks)
@@ -352,11 +335,8 @@ def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -
 
 
 def write_sto(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
-    """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
-    differences (0 for a single frame).
-
-    Raises:
-        As `write_mot`.
+    """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central differences
+    (0 for a single frame); errors as `write_mot`.
     """
     source = MotionSource.of(motion)
     every = coordinates(source.skeleton.table)

@@ -48,13 +48,8 @@ class SensorTable:
 
 
 def read_joints(path: str | Path, width: int) -> JointTable:
-    """Read a table with a line of names and then a line for each frame.
-
-    Args:
-        width: numbers per joint: 3 for positions, 4 for orientations.
-
-    Raises:
-        FileFormatError: unreadable, cut off, or not such a table; names the line.
+    """Read names and then a line for each frame: 3 numbers per joint for positions, 4 for orientations;
+    `FileFormatError`, which names the line: unreadable, cut off, or not such a table.
     """
     path = Path(path)
     header, *lines = _lines(path)
@@ -80,9 +75,7 @@ def read_joints(path: str | Path, width: int) -> JointTable:
 
 def read_sensors(path: str | Path) -> SensorTable:
     """Read orientation and specific force of all sensors; further columns (gyroscope, ...) are ignored.
-
-    Raises:
-        FileFormatError: unreadable, cut off, other frames than announced, or sensors that change.
+    `FileFormatError`: unreadable, cut off, other frames than announced, or sensors that change.
     """
     path = Path(path)
     first, *lines = _lines(path)
@@ -93,18 +86,7 @@ def read_sensors(path: str | Path) -> SensorTable:
     if S == 0 or T == 0:
         raise FileFormatError(path, f"announces {T} frames of {S} sensors", 1)
     rows = [line.split() for line in lines]
-    names = _sensor_names(path, rows, S, T)
-    readings = [(i, row[1:8]) for i, row in enumerate(rows) if i % (S + 1)]
-    values = _numbers([cells for _, cells in readings], 7)
-    if values is None:
-        i, cells = next((i, cells) for i, cells in readings if _numbers([cells], 7) is None)
-        raise FileFormatError(path, f"expected a sensor's name and at least 7 numbers{_odd(cells)}", i + 2)
-    values = values.reshape(T, S, 7)
-    return SensorTable(names, values[..., :4], values[..., 4:])
-
-
-def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[str, ...]:
-    """Return the sensors, after checking that T whole frames of the same sensors follow each other."""
+    # Sensors, after checking that T whole frames of the same sensors follow each other.
     announced = f"announces {T} frames of {S} sensors"
     heads = [row[0] if row else "" for row in rows]
     names = tuple(heads[1 : S + 1])
@@ -125,7 +107,13 @@ def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[st
         raise FileFormatError(path, problem, len(rows) + 1)
     if len(rows) > T * (S + 1):
         raise FileFormatError(path, f"{announced} and holds {whole} whole ones", T * (S + 1) + 2)
-    return names
+    readings = [(i, row[1:8]) for i, row in enumerate(rows) if i % (S + 1)]
+    values = _numbers([cells for _, cells in readings], 7)
+    if values is None:
+        i, cells = next((i, cells) for i, cells in readings if _numbers([cells], 7) is None)
+        raise FileFormatError(path, f"expected a sensor's name and at least 7 numbers{_odd(cells)}", i + 2)
+    values = values.reshape(T, S, 7)
+    return SensorTable(names, values[..., :4], values[..., 4:])
 
 
 def is_sensors(head: str) -> bool:
@@ -148,10 +136,8 @@ def read_sensor_log(path: Path, **declared: Any) -> SensorLog:
 
 
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:
-    """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``.
-
-    Raises:
-        FileFormatError: unreadable, cut off, or a quaternion that is not of unit norm.
+    """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``; `FileFormatError`:
+    unreadable, cut off, or a quaternion that is not of unit norm.
     """
     path = Path(path)
     first, *lines = _lines(path)
@@ -179,10 +165,8 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
 
 
 def read_cameras(path: str | Path) -> dict[int, Camera]:
-    """Read cameras by number from 1, in the dataset's own world (y up, metres).
-
-    Raises:
-        FileFormatError: unreadable, cut off, or numbers that make no camera.
+    """Read cameras by number from 1, in the dataset's own world (y up, metres); `FileFormatError`: unreadable, cut off,
+    or numbers that make no camera.
     """
     path = Path(path)
     cells = " ".join(_lines(path)).split()

@@ -27,14 +27,8 @@ METRES: Final = {"m": 1.0, "mm": 0.001, "cm": 0.01}
 
 
 def world_of_file(up: str, metres_per_unit: float = 1.0) -> Array:
-    """Return R_world_file (3, 3) of a file.
-
-    Args:
-        up: the file's axis that points up, a key of `UP`.
-        metres_per_unit: length of the file's unit, m; only checked.
-
-    Raises:
-        InvalidInputError: there is no such axis, or the length is not positive.
+    """Return R_world_file (3, 3) of a file whose axis `up`, a key of `UP`, points up, and whose unit is positive, m;
+    else `InvalidInputError`.
     """
     if up not in UP:
         raise InvalidInputError(f"up: {up!r} is no axis; give one of {', '.join(UP)}")

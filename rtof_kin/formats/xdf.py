@@ -87,10 +87,8 @@ class _CutError(Exception):
 
 
 def read_structure(path: Path) -> XdfStructure:
-    """Return the streams of a file, all of whose intact chunks fit together.
-
-    Raises:
-        FileFormatError: no XDF file, or damaged; names the byte.
+    """Return the streams of a file, all of whose intact chunks fit together; else `FileFormatError`, which names the
+    byte.
     """
     try:
         with path.open("rb") as stream:
@@ -317,13 +315,8 @@ class XdfPoints:
 
 
 def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
-    """Read the detected points of a file.
-
-    Args:
-        stream: name of the stream; not needed where only one has points.
-
-    Raises:
-        FileFormatError: unreadable, damaged, or no stream of points or several.
+    """Read the detected points of a file; the stream's name is not needed where only one has points. `FileFormatError`:
+    unreadable, damaged, or no stream of points or several.
     """
     path = Path(path)
     structure = read_structure(path)

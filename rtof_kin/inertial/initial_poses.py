@@ -24,12 +24,8 @@ from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 
 
 def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> PoseSequence:
-    """Compute rigid poses at the sensors' times, the root at the origin.
-
-    A root without a sensor is upright, with the mean heading of the sensors near it.
-
-    Args:
-        bone_imus: the sensors; gaps are interpolated on the geodesic.
+    """Compute rigid poses at the sensors' times, the root at the origin; gaps are interpolated on the geodesic. A root
+    without a sensor is upright, with the mean heading of the sensors near it.
 
     Returns:
         Poses; orientations are observed where a sensor has data, and a joint has provenance IMU if the

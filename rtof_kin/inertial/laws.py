@@ -50,13 +50,8 @@ _TURNS_DEG = 20.0  # [deg/s] RMS angular speed that determines a lever arm
 
 
 def rates_of_orientation(stream: SensorStream) -> tuple[Array, Array]:
-    """Differentiate the orientation at the middle of every step.
-
-    Returns:
-        Times (T - 1,), s; w_sensor (T - 1, 3), rad/s, NaN across gaps and where orientation is missing.
-
-    Raises:
-        InvalidInputError: the sensor has no orientation.
+    """Differentiate the orientation at the middle of every step: times (T - 1,), s, and w_sensor (T - 1, 3), rad/s, NaN
+    across gaps and where orientation is missing; `InvalidInputError` for a sensor without.
     """
     times, R = stream.times, stream.R_inertial_sensor
     if R is None:
@@ -70,9 +65,8 @@ def rates_of_orientation(stream: SensorStream) -> tuple[Array, Array]:
 
 
 def delay(stream: SensorStream) -> float:
-    """Return the delay of the gyroscope after the orientation, samples; NaN if unobservable.
-
-    It maximises the correlation of the two angular speeds, independent of axes and units.
+    """Return the delay of the gyroscope after the orientation, samples, that maximises the correlation of the two
+    angular speeds, independent of axes and units; NaN if unobservable.
     """
     if stream.w_sensor is None or stream.R_inertial_sensor is None or len(stream) < 20:
         return float("nan")
@@ -94,10 +88,8 @@ def delay(stream: SensorStream) -> float:
 
 
 def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
-    """Check the RMS difference of gyroscope and derivative of the orientation.
-
-    Args:
-        shift: delay of the gyroscope, samples; estimated if None.
+    """Check the RMS difference of gyroscope and derivative of the orientation; its delay, samples, is estimated if
+    None.
     """
     pair = _both_rates(stream, shift)
     if pair is None:
@@ -189,11 +181,9 @@ def _described(R_sensor_oriented: Array) -> str:
 
 
 def fixed_axes(stream: SensorStream) -> tuple[Array, str] | None:
-    """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
-
-    Returns:
-        R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, and its
-        description. None for too little data, turning about one axis only, or rates that still disagree.
+    """Fit the constant orthogonal matrix (3, 3) from the orientation's rates, in the axes of the file, to the
+    gyroscope's (Wahba 1965), and describe it. None for too little data, turning about one axis only, or rates that
+    still disagree.
     """
     pair = _both_rates(stream)
     if pair is None:
@@ -229,9 +219,8 @@ def _fluctuation(values: Array) -> Array:
 
 
 def at_rest(stream: SensorStream) -> Mask:
-    """Return the mask (T,) of rest, by orientation or else by specific force.
-
-    Both are independent of units, and of inverted or reordered quaternions.
+    """Return the mask (T,) of rest, by orientation or else by specific force, independent of units, and of inverted or
+    reordered quaternions.
     """
     if stream.R_inertial_sensor is not None:
         slow = np.linalg.norm(rates_of_orientation(stream)[1], axis=-1) < _STILL
@@ -249,19 +238,15 @@ def at_rest(stream: SensorStream) -> Mask:
 
 
 def gravity_checks(stream: SensorStream, rest: Mask, per_metre: float) -> tuple[Check, ...]:
-    """Check specific force, direction of gravity, mean acceleration and lever arm.
-
-    Args:
-        rest: (T,) from `at_rest`. per_metre: its `turning_acceleration`, 1/s^2.
+    """Check specific force, direction of gravity, mean acceleration and lever arm by `at_rest` and
+    `turning_acceleration`.
     """
     return (_specific_force(stream, rest), *_mean_force(stream, rest), _lever_arm(stream, per_metre))
 
 
 def turning_acceleration(stream: SensorStream) -> float:
-    """Return the 90th percentile of ``|w|^2 + |dw/dt|``, the acceleration per metre of lever arm, 1/s^2.
-
-    Args:
-        stream: the sensor; NaN if it hardly turns or is too short.
+    """Return the 90th percentile of ``|w|^2 + |dw/dt|``, the acceleration per metre of lever arm, 1/s^2; NaN where the
+    sensor hardly turns or is too short.
     """
     if stream.R_inertial_sensor is None or len(stream) < 20:
         return float("nan")

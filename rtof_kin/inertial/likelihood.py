@@ -63,29 +63,19 @@ class SegmentMotion:
     p_bone_sensor: Array  # (3,) m
 
     def moved(self, joint: str, R_bone_new: Array, p_bone_sensor: Array) -> SegmentMotion:
-        """Return the motion of the same sensor on another segment, or mounted otherwise.
-
-        Args:
-            R_bone_new: (3, 3) factor of R_world_bone. p_bone_sensor: (3,) m.
+        """Return the motion of the same sensor on another segment, or mounted otherwise: R_bone_new (3, 3) is a factor
+        of R_world_bone, its position in m.
         """
         return SegmentMotion(joint, self.R_world_bone @ R_bone_new, self.w_world, self.a_world, p_bone_sensor)
 
     def turned(self, R_world_new: Array) -> SegmentMotion:
-        """Return the motion with its reference rotated in world.
-
-        Args:
-            R_world_new: (3, 3) factor from the left.
-        """
+        """Return the motion with its reference rotated in world by a factor (3, 3) from the left."""
         R, w, a = R_world_new @ self.R_world_bone, self.w_world @ R_world_new.T, self.a_world @ R_world_new.T
         return SegmentMotion(self.joint, R, w, a, self.p_bone_sensor)
 
 
 def even_times(bone_imus: BoneImuSequence) -> Array:
-    """Return times (T,), s, at `RATE_HZ` over the sensors' duration.
-
-    Raises:
-        InvalidInputError: less than a second.
-    """
+    """Return times (T,), s, at `RATE_HZ` over the sensors' duration; less than a second raises `InvalidInputError`."""
     start, stop = bone_imus.times[[0, -1]]
     if stop - start < 1.0:
         raise InvalidInputError(f"{stop - start:.2g} s of sensor data are too short to judge a movement by")
@@ -104,13 +94,8 @@ def segment_motions(bone_imus: BoneImuSequence) -> tuple[SegmentMotion, ...]:
 
 
 def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> dict[str, Array]:
-    """Return directions (T, C, 3) in world from each joint to its C children, from a camera's poses.
-
-    Args:
-        times: (T,) s.
-
-    Returns:
-        By joint, without those never seen.
+    """Return directions (T, C, 3) in world from each joint to its C children at times (T,), s, from a camera's poses,
+    by joint, without those never seen.
     """
     skeleton.check_joints(poses.names)
     p = signals.interpolate(poses.times, poses.p_world_joint, times, max_gap=0.2)
@@ -123,21 +108,14 @@ def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> di
 
 
 def angular_velocity(times: Array, R: Array) -> Array:
-    """Return the angular velocity (T, 3), rad/s, in the reference of the orientations.
-
-    Args:
-        times, R: as for `orientation_rate`.
-    """
+    """Return the angular velocity (T, 3), rad/s, in the reference of the orientations; see `orientation_rate`."""
     return np.asarray(np.einsum("tij,tj->ti", R, orientation_rate(times, R)))
 
 
 def orientation_rate(times: Array, R: Array) -> Array:
-    """Differentiate orientations to angular velocity (T, 3), rad/s, in the rotating frame.
-
-    Central differences, ``log(R(t-1)^T R(t+1)) / (t(t+1) - t(t-1))``, one-sided at the ends.
-
-    Args:
-        times: (T,) s. R: (T, 3, 3); a rate is NaN where one of its two orientations is.
+    """Differentiate orientations (T, 3, 3) at times (T,), s, to angular velocity (T, 3), rad/s, in the rotating frame.
+    Central differences, ``log(R(t-1)^T R(t+1)) / (t(t+1) - t(t-1))``, one-sided at the ends; NaN where one of the two
+    orientations is.
     """
     last = len(times) - 1
     before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
@@ -180,10 +158,8 @@ class MotionLikelihood:
         self._accelerations: WeakKeyDictionary[SegmentMotion, dict[str, Array]] = WeakKeyDictionary()
 
     def tree(self, joints: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the pairs of segments to compare: a minimum spanning tree of distances in the skeleton.
-
-        Returns:
-            Pairs, the segment nearer to the root first.
+        """Return the pairs of segments to compare, the one nearer to the root first: a minimum spanning tree of
+        distances in the skeleton.
         """
         distance = np.array([[self._apart(a, b) for b in joints] for a in joints], dtype=float)
         # Of equal distances the smaller indices, so that the tree does not depend on rounding.
@@ -242,10 +218,9 @@ class MotionLikelihood:
         return _summed(gain * signal / (1 + signal), _ACCELERATION_MEMORY) * _EVERY
 
     def _acceleration(self, motion: SegmentMotion, joint: str) -> Array:
-        """Return (T / _EVERY, 3), m/s^2, of a joint at one end of the sensor's segment, smoothed.
-
-        The sensor's own plus the second central difference of the arm to the joint, which averages as
-        `BoneImuSequence.resample` does. NaN near gaps.
+        """Return (T / _EVERY, 3), m/s^2, of a joint at one end of the sensor's segment, smoothed: the sensor's own plus
+        the second central difference of the arm to the joint, which averages as `BoneImuSequence.resample` does. NaN
+        near gaps.
         """
         known = self._accelerations.setdefault(motion, {})
         if joint not in known:
@@ -331,9 +306,8 @@ def _summed(values: Array, memory: float) -> float:
 
 @cache
 def _sampled_poses(names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000) -> tuple[Array, Array]:
-    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later.
-
-    In that moment every joint moves by a hundredth of another draw from the prior.
+    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later, in which every joint
+    moves by a hundredth of another draw from the prior.
     """
     prior = shipped_prior(names)
     rng = np.random.default_rng(0)
@@ -365,11 +339,16 @@ class Headings:
 
 
 def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
-    """Estimate a heading for each sensor.
+    """Estimate a heading for each of S sensors calibrated in a pose, R_world_bone (S, 3, 3) of their segments, with
+    headings 0.
 
-    Args:
-        motions: S, calibrated in the pose with headings 0.
-        R_pose: (S, 3, 3) R_world_bone of their segments in the pose.
+    In the pose, at time 0, they are right for any heading h of their reference::
+
+        R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
+
+    h changes the axis in the body about which the segment rotates afterwards; an axis that is vertical in the pose does
+    not determine it. The likelihood is maximised exactly on a grid of headings over the tree of compared pairs
+    (max-product, Pearl 1988), then refined.
     """
     turned = _Turned(likelihood, motions, R_pose)
     angles = turned.best_on_grid()
@@ -381,11 +360,7 @@ def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion],
 
 
 def shared_heading(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
-    """Estimate one heading for all sensors.
-
-    Args:
-        likelihood, motions, R_pose: as in `own_headings`.
-    """
+    """Estimate one heading for all sensors, as `own_headings` does for each."""
     score, everyone = _Turned(likelihood, motions, R_pose).total, np.ones(len(motions))
     sigma, margin = _spread(score)
     best = float(_grid(_GRID)[int(np.argmax([score(h) for h in _grid(_GRID)]))])
@@ -395,11 +370,7 @@ def shared_heading(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion
 
 
 def wrapped(angles: ArrayLike) -> Array:
-    """Return angles in (-pi, pi].
-
-    Args:
-        angles: rad, any shape.
-    """
+    """Return angles, rad, in (-pi, pi]."""
     return np.asarray(np.pi - (np.pi - np.asarray(angles, dtype=float)) % (2 * np.pi))
 
 

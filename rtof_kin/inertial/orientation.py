@@ -2,6 +2,9 @@
 
 Laidig and Seel, Information Fusion 91 (2023), in the library of its authors. The offline filter uses the
 past and the future of each sample, the causal one only the past.
+
+Axes of a phone, with the screen towards the viewer: x to the right, y up, z out of the screen, as Android and iOS
+define them; the camera at its back looks along -z.
 """
 
 from __future__ import annotations
@@ -45,14 +48,9 @@ _DEFAULT = OrientationSettings()
 
 
 def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFAULT) -> SensorStream:
-    """Estimate the orientation of a stream by VQF.
-
-    Returns:
-        The stream with R_inertial_sensor in a reference with z up, NaN in long gaps; without magnetometer
-        its heading is arbitrary. Its notes describe the estimate.
-
-    Raises:
-        InvalidInputError: a channel is missing, or there are too few samples.
+    """Estimate the orientation of a stream by VQF: R_inertial_sensor in a reference with z up, NaN in long gaps;
+    without magnetometer its heading is arbitrary. Its notes describe the estimate. `InvalidInputError`: a channel is
+    missing, or there are too few samples.
     """
     f, w, m = stream.f_sensor, stream.w_sensor, stream.m_sensor
     where = f"sensor {stream.name}"
@@ -182,10 +180,8 @@ class GyroscopeMatch:
 
 
 def held_of_gravity(stream: SensorStream) -> str:
-    """Return how a phone was held, from gravity: the key of `HELD` whose image is the most upright.
-
-    Args:
-        stream: of the phone; portrait where it has no accelerometer.
+    """Return how a phone was held, from gravity: the key of `HELD` whose image is the most upright; portrait where it
+    has no accelerometer.
     """
     if stream.f_sensor is None:
         return "portrait"
@@ -194,13 +190,9 @@ def held_of_gravity(stream: SensorStream) -> str:
 
 
 def motion_of_gyroscope(stream: SensorStream, R_camera_phone: Array) -> CameraMotion:
-    """Return the turning of a camera that a sensor is fixed to.
-
-    With an accelerometer the orientation is that of `with_orientation` without magnetometer, and up is known;
-    else angular velocities are summed. A slow drift of the heading remains either way.
-
-    Args:
-        R_camera_phone: (3, 3), see `HELD`.
+    """Return the turning of a camera that a sensor is fixed to by R_camera_phone (3, 3) of `HELD`. With an
+    accelerometer the orientation is that of `with_orientation` without magnetometer, and up is known; else angular
+    velocities are summed. A slow drift of the heading remains either way.
 
     Raises:
         InvalidInputError: there is neither, or there are too few samples.
@@ -238,12 +230,9 @@ def _summed(stream: SensorStream) -> Array:
 
 
 def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
-    """Find how a phone was held and the time between its clock and the video's.
-
-    Angular velocities of both are correlated over all lags with an overlap of two seconds.
-
-    Raises:
-        InvalidInputError: no gyroscope, or less than two seconds of either.
+    """Find how a phone was held and the time between its clock and the video's: angular velocities of both are
+    correlated over all lags with an overlap of two seconds. `InvalidInputError`: no gyroscope, or less than two seconds
+    of either.
     """
     if stream.w_sensor is None:
         raise InvalidInputError(f"sensor {stream.name} has no gyroscope; a camera's turning needs one")

@@ -36,10 +36,8 @@ _WINDOW = 0.5  # [s] of the running median of that angle; faults closer than thi
 
 
 def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...]]:
-    """Set stuck samples and saturated accelerations to NaN.
-
-    Returns:
-        The sensors, unchanged if there are none, and the faults by sensor.
+    """Set stuck samples and saturated accelerations to NaN; return the sensors, unchanged if there are none, and the
+    faults by sensor.
     """
     stuck = _stuck(imus)
     f = np.where(stuck[..., None], np.nan, imus.f_sensor)
@@ -58,11 +56,7 @@ def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFau
 
 
 def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[StreamFault]:
-    """Yield intervals without samples within a span; one for all sensors where all have it in common.
-
-    Args:
-        start, stop: s.
-    """
+    """Yield intervals without samples within a span, s; one for all sensors where all have it in common."""
     known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
     by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
     shared = set(by_sensor[0]).intersection(*by_sensor[1:])
@@ -122,12 +116,8 @@ def _faults(kind: FaultKind, what: str, where: Mask, times: Array) -> Iterator[S
 def find_disagreements(
     poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
 ) -> tuple[StreamFault, ...]:
-    """Find intervals in which a sensor's orientation differs from the solved motion.
-
-    Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
-
-    Returns:
-        Faults by segment.
+    """Find intervals, by segment, in which a sensor's orientation differs from the solved motion. Rotation about a bone
+    without branches is ignored (soft tissue), as are frames without keypoints.
     """
     faults: list[StreamFault] = []
     for s, joint in enumerate(bone_imus.joints):
@@ -221,13 +211,13 @@ _MISTAKES = (
 
 
 def check_form(imus: ImuSequence, R_world_inertial: Array) -> tuple[Check, ...]:
-    """Check that sensors are alive and that their samples have the form of a recording.
+    """Check that sensors are alive and that their samples have the form of a recording, by R_world_inertial (S, 3, 3)
+    of their calibration: one check of repeated samples and one of gravity; a failed one names the sensors and the
+    cause.
 
-    Args:
-        R_world_inertial: (S, 3, 3) of their calibration.
-
-    Returns:
-        One check of repeated samples and one of gravity; a failed one names the sensors and the cause.
+    Orientations map sensor axes to their reference (from quaternions w, x, y, z), and specific force is raw: so the
+    mean of ``R_world_inertial R_inertial_sensor f_sensor`` points up with the size of gravity, but for the change of
+    velocity over the time. Each usual mistake is undone on the same numbers; the one under which this holds is named.
     """
     repeats = np.pad(repeated_samples(imus), ((1, 0), (0, 0)))
     return _check_frozen(imus, repeats), _check_gravity(imus, R_world_inertial, repeats)

@@ -42,11 +42,9 @@ _OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
-    """Check all sensors of a file, which share one declaration.
-
-    Returns:
-        For each sensor the laws, then clock and channels. `Check.likely` of a failed law is the change of
-        the declaration under which all failing sensors obey, if there is a single one.
+    """Check all sensors of a file, which share one declaration: for each the laws, then clock and channels.
+    `Check.likely` of a failed law is the change of the declaration under which all failing sensors obey, if there is a
+    single one.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers give infinite figures, which fail
         return _check(log.streams, log.declaration)
@@ -204,17 +202,7 @@ def _excess(check: Check) -> float:
 
 def _sampling(stream: SensorStream, declared: Declaration) -> list[Check]:
     checks = _clock(stream, declared)
-    for name, values in _as_filed(stream, declared).items():
-        checks += [_missing(stream, name, values), _stuck(stream, name, values)]
-        if name in ("f_sensor", "w_sensor"):
-            checks.append(_saturated(stream, name, values))
-    if stream.m_sensor is not None:
-        checks.append(_disturbed(stream, stream.m_sensor))
-    return checks
-
-
-def _as_filed(stream: SensorStream, declared: Declaration) -> dict[str, Array]:
-    """Return the channels (T, K); accelerations in the file's own axes, whose range has ends."""
+    # Channels (T, K); accelerations in the file's own axes, whose range has ends.
     f, R = stream.f_sensor, stream.R_inertial_sensor
     channels = {
         "f_sensor": None if f is None else declared.filed_acceleration(f, R),
@@ -222,7 +210,13 @@ def _as_filed(stream: SensorStream, declared: Declaration) -> dict[str, Array]:
         "m_sensor": stream.m_sensor,
         "R_inertial_sensor": None if R is None else R.reshape(len(stream), 9),
     }
-    return {name: values for name, values in channels.items() if values is not None}
+    for name, values in ({name: values for name, values in channels.items() if values is not None}).items():
+        checks += [_missing(stream, name, values), _stuck(stream, name, values)]
+        if name in ("f_sensor", "w_sensor"):
+            checks.append(_saturated(stream, name, values))
+    if stream.m_sensor is not None:
+        checks.append(_disturbed(stream, stream.m_sensor))
+    return checks
 
 
 def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:

@@ -49,13 +49,9 @@ _RIGHT_ANGLES = ("hip flexion", "knee flexion")  # of the seated pose
 
 
 def pose_rotations(pose: str | ArrayLike, skeleton: SkeletonModel) -> Array:
-    """Return R_world_bone (J, 3, 3) of a calibration pose.
-
-    Args:
-        pose: one of `POSES`, or measured orientations (J, 3, 3), e.g. ``poses.R_world_bone[frame]``.
-
-    Raises:
-        UnknownNameError: unknown pose. InvalidInputError: not (J, 3, 3), or not rotations.
+    """Return R_world_bone (J, 3, 3) of a calibration pose: one of `POSES`, or measured orientations (J, 3, 3), e.g.
+    ``poses.R_world_bone[frame]``. `UnknownNameError`: unknown pose; `InvalidInputError`: not (J, 3, 3), or not
+    rotations.
     """
     if not isinstance(pose, str):
         R = readonly("calibration pose", pose, (len(skeleton.names), 3, 3))
@@ -76,13 +72,8 @@ def pose_rotations(pose: str | ArrayLike, skeleton: SkeletonModel) -> Array:
 
 
 def facing_of(R_world_bone: Array) -> float:
-    """Return the heading of the root's forward axis, rad about z from x.
-
-    Args:
-        R_world_bone: (J, 3, 3) of a pose.
-
-    Raises:
-        InvalidInputError: the axis is vertical.
+    """Return the heading of the root's forward axis in R_world_bone (J, 3, 3) of a pose, rad about z from x;
+    `InvalidInputError` where it is vertical.
     """
     forward = R_world_bone[0, :, 0]
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(10.0)):
@@ -91,11 +82,7 @@ def facing_of(R_world_bone: Array) -> float:
 
 
 def turned_to(R_world_bone: Array, facing: float) -> Array:
-    """Return a pose with another heading.
-
-    Args:
-        R_world_bone: (J, 3, 3). facing: new heading, rad about z from x.
-    """
+    """Return a pose (J, 3, 3) with another heading, rad about z from x."""
     turn = so3.about_axis("z", facing - facing_of(R_world_bone))
     return np.asarray(turn @ R_world_bone)
 

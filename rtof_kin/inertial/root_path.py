@@ -87,6 +87,9 @@ def detect_contacts(
 ) -> Contacts:
     """Detect standing feet.
 
+    A foot stands while its ankle hardly accelerates (zero-velocity detection; Skog et al. 2010), its segment hardly
+    rotates and it is not above the other foot.
+
     Args:
         poses: (T, J) with finite orientations; its root may be anywhere.
         bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's.
@@ -116,10 +119,8 @@ def detect_contacts(
 
 
 def contact_points(contacts: Contacts, p_world: Array, height: float) -> ContactPoints:
-    """Return the median horizontal position of each contact, at a height.
-
-    Args:
-        p_world: (T, C, 3) their positions, m. height: of the ankles, m.
+    """Return the median horizontal position of each contact, of positions (T, C, 3), m, at a height of the
+    ankles, m.
     """
     places = np.full_like(p_world, np.nan)
     for i, own in enumerate(contacts.standing.T):

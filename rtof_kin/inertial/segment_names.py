@@ -57,11 +57,8 @@ _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 
 
 def segment_of(name: str, skeleton: SkeletonModel) -> str | None:
-    """Return the segment that a name means, by its proximal joint; None where the name is not known.
-
-    Args:
-        name: of a segment, sensor or place on the body, e.g. 'LeftLeg', 'L_LowLeg', 'tibia_l_imu'.
-        skeleton: with the joints, and with sensors that have names of their own.
+    """Return the segment, by its proximal joint, of the name of a segment, sensor or place on the body, e.g. 'LeftLeg',
+    'L_LowLeg', 'tibia_l_imu', or of a sensor in the skeleton's table; None where the name is not known.
     """
     if name in skeleton.names:
         return name
@@ -75,12 +72,8 @@ def segment_of(name: str, skeleton: SkeletonModel) -> str | None:
 
 
 def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]:
-    """Return the segments of those names that are known, each segment at most once.
-
-    Two names of the same segment are both left out, as one of them must be somewhere else.
-
-    Args:
-        skeleton: as in `segment_of`.
+    """Return the segments of those names that `segment_of` knows, each segment at most once. Two names of the same
+    segment are both left out, as one of them must be somewhere else.
     """
     found = {name: joint for name in names if (joint := segment_of(name, skeleton)) is not None}
     taken = list(found.values())
@@ -88,14 +81,7 @@ def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]
 
 
 def known_segment(name: str, skeleton: SkeletonModel, path: str | Path | None = None) -> str:
-    """Return the segment that a name means.
-
-    Args:
-        name, skeleton: as in `segment_of`.
-
-    Raises:
-        UnknownNameError: it means none.
-    """
+    """Return the segment that a name means, see `segment_of`; `UnknownNameError` where it means none."""
     found = segment_of(name, skeleton)
     if found is None:
         words = (*_MIDDLE, *(f"{side} {place}" for side in ("left", "right") for place in _LIMBS))

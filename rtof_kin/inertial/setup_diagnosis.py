@@ -163,10 +163,8 @@ def diagnose_setup(
 def setup_log_likelihood(
     bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None = None
 ) -> float:
-    """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations.
-
-    Args:
-        bone_imus, skeleton, visual: as for `diagnose_setup`.
+    """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations; see
+    `diagnose_setup`.
     """
     return _scores(bone_imus, skeleton, visual)[0].total(segment_motions(bone_imus))
 

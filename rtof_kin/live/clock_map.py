@@ -171,8 +171,7 @@ class ClockMap:
     def notices(self, arrival: float) -> list[str]:
         """Return sentences about jumps since the last call; streams that leap together share one.
 
-        Args:
-            arrival: now, s on this machine's clock.
+        `arrival`: now, s on this machine's clock.
         """
         if not self._jumped or arrival - min(at for _, at in self._jumped.values()) < _GATHERED:
             return []

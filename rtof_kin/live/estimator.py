@@ -55,8 +55,7 @@ def first_lifted(
 ) -> PoseSequence:
     """Return a lifted pose with measured orientations, its root on the rays of its landmarks.
 
-    Args:
-        skeleton: the subject's. sensed: orientations (3, 3) in world by joint.
+    `skeleton`: the subject's. sensed: orientations (3, 3) in world by joint.
     """
     parents, offsets = skeleton.parents, skeleton.joint_offsets
     p = pose.p_world_joint[None]
@@ -73,8 +72,7 @@ def first_sensed(
 ) -> PoseSequence | None:
     """Return the pose that sensors show, above the origin with the lower ankle at a height.
 
-    Args:
-        skeleton: the subject's. time: s. ankle_height: in world, m.
+    `skeleton`: the subject's. time: s. ankle_height: in world, m.
 
     Returns:
         One frame; None where no sensor has data.
@@ -179,8 +177,7 @@ class OnlineEstimator:
     def push(self, sample: Sample) -> None:
         """Take a sample, in any order; it counts from the next `advance` on.
 
-        Args:
-            sample: on the common clock; a frame has the landmarks of the estimator.
+        `sample`: on the common clock; a frame has the landmarks of the estimator.
 
         Raises:
             UnknownNameError: the sensor has no calibration. ShapeError: other landmarks.

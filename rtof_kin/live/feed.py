@@ -56,8 +56,7 @@ class Feed:
     def __init__(self, source: Source, in_background: bool = False):
         """Take a source that is not started yet.
 
-        Args:
-            in_background: start it in a thread, as finding a stream may take seconds.
+        `in_background`: start it in a thread, as finding a stream may take seconds.
         """
         self.source, self.name = source, source.name
         self._in_background = in_background

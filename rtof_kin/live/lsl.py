@@ -55,7 +55,7 @@ class ImuChannels:
     Args:
         stream: its name; of the sensor too, where labels name none.
         labels, units, types: of each channel; units and types may be empty.
-        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
 
     Raises:
         SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an
@@ -93,8 +93,7 @@ class ImuChannels:
     def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
         """Return one sample of each sensor at each time, in the order of times.
 
-        Args:
-            times: (T,) s. values: (T, C) of all channels.
+        `times`: (T,) s. values: (T, C) of all channels.
 
         Raises:
             SourceError: another number of channels than labels.
@@ -111,8 +110,7 @@ class ImuChannels:
 class FrameChannels:
     """Detected points of one stream: ``<landmark>_x``, ``_y`` in px, ``_confidence``.
 
-    Args:
-        labels, units: of each channel; units may be empty.
+    `labels`, `units`: of each channel; units may be empty.
 
     Raises:
         SourceError: no point, one without x or y, a channel twice, or coordinates that are not in px.
@@ -223,10 +221,7 @@ class LslClock:
 
 
 class Inlet:
-    """An open connection to one stream of numbers.
-
-    Args:
-        info: `pylsl.StreamInfo` of a resolver.
+    """An open connection to one stream of numbers. `info`: `pylsl.StreamInfo` of a resolver.
 
     Raises:
         SourceError: no connection, or a stream of text.
@@ -275,8 +270,7 @@ class Inlet:
     def offset_s(self, wait_s: float = 0.0) -> float | None:
         """Return what is to be added to stamps for this machine's clock, s; None where not known yet.
 
-        Args:
-            wait_s: s that the first measurement may take.
+        `wait_s`: s that the first measurement may take.
 
         Raises:
             ConnectionError: the stream is lost.
@@ -316,8 +310,7 @@ class Inlet:
 def find_one(stream: str, timeout_s: float) -> tuple[Inlet, float | None]:
     """Connect to the stream of a name, of which there must be one; measure the offset of the sender's clock, s.
 
-    Args:
-        timeout_s: s that it has to answer.
+    `timeout_s`: s that it has to answer.
 
     Raises:
         SourceError: no stream, or two, of the name; no connection; a stream of text.
@@ -516,7 +509,7 @@ class LslImuSource(LslSource):
 
     Args:
         timeout_s: s that it has to answer.
-        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
     """
 
     def __init__(self, stream: str, declared: Mapping[str, Any] | None = None, timeout_s: float = 5.0):

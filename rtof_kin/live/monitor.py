@@ -305,24 +305,21 @@ class Monitor:
     def frozen(self, stream: str) -> bool:
         """Return whether a stream repeats itself at the moment, so that its samples tell nothing.
 
-        Args:
-            stream: sensor, or `VIDEO`.
+        `stream`: sensor, or `VIDEO`.
         """
         return stream in self._streams and State.FROZEN in self._streams[stream].since
 
     def now(self, arrival: float) -> float:
         """Return the present on the session's clock, s; NaN before the first sample.
 
-        Args:
-            arrival: s on this machine's clock.
+        `arrival`: s on this machine's clock.
         """
         return self._front + max(0.0, arrival - self._moved - _GRACE)
 
     def elapsed(self, arrival: float) -> float:
         """Return the seconds since the first sample, or before it since the first check.
 
-        Args:
-            arrival: s on this machine's clock.
+        `arrival`: s on this machine's clock.
         """
         if math.isnan(self._began):
             self._began = arrival
@@ -331,8 +328,7 @@ class Monitor:
     def check(self, arrival: float) -> list[Change]:
         """Return what has changed since the last call; called after the samples of every step.
 
-        Args:
-            arrival: now, s on this machine's clock.
+        `arrival`: now, s on this machine's clock.
         """
         self._before, elapsed = self._front, self.elapsed(arrival)
         now = arrival if math.isnan(self._front) else self.now(arrival)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.settings import JointSpaceSettings
+
+if TYPE_CHECKING:
+    from rtof_kin.calibration.priors import CalibrationPriors
 
 _LONGEST_LAG_S: Final = 1.0
 _LEAST_FRAMES: Final = 8  # of a window

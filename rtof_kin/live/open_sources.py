@@ -34,8 +34,7 @@ _SKELETON: Final = "total_capture"
 class RenamedSensors:
     """A source with other names of its sensors; those that a map does not name keep theirs.
 
-    Args:
-        names: in the calibration, by serial number, its last characters, or name.
+    `names`: in the calibration, by serial number, its last characters, or name.
     """
 
     def __init__(self, source: Source, names: Mapping[str, str]):
@@ -48,8 +47,7 @@ class RenamedSensors:
     def of_file(cls, source: Source, path: str | Path, setup: Recording) -> Self:
         """Rename by a map of sensors.
 
-        Args:
-            path: two columns, the stream's sensor, and its segment or its name in the calibration.
+        `path`: two columns, the stream's sensor, and its segment or its name in the calibration.
 
         Raises:
             FileFormatError: no such map. CalibrationError: the setup has no calibration.
@@ -199,10 +197,7 @@ def open_sources(
 
 
 def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
-    """Return the outputs that words name.
-
-    Args:
-        words: of `OUTPUTS`.
+    """Return the outputs that words name. `words`: of `OUTPUTS`.
 
     Raises:
         SourceError: another word, twice the same, or a port that is taken.

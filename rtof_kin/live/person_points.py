@@ -75,8 +75,7 @@ class PersonPoints:
     def of(self, image: NDArray[np.uint8], time: float) -> tuple[Array, Array]:
         """Return the person's points (L, 2), px, and confidence (L,); NaN and 0 where not seen.
 
-        Args:
-            image: (height, width, 3), BGR, upright. time: of the image, s.
+        `image`: (height, width, 3), BGR, upright. time: of the image, s.
         """
         people = [person for person in self._detector.find(image, time) if np.any(person.points[:, 2] > 0)]
         person = self._follow(people, time)

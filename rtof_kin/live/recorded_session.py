@@ -86,10 +86,7 @@ def _repeated(times: Array, numbers: Array) -> Mask:
 
 
 def finish(folder: str | Path) -> tuple[str, ...]:
-    """Make a recording of a session's folder, also of one that was killed.
-
-    Args:
-        folder: that a `Recorder` wrote.
+    """Make a recording of a session's folder, also of one that was killed. `folder`: that a `Recorder` wrote.
 
     Returns:
         Notes about losses, which the recording has too.

@@ -57,10 +57,7 @@ class Refinement:
     def __init__(
         self, window: Window, sensors: SensorBuffer, priors: CalibrationPriors, start: SelfCalibration | None = None
     ) -> None:
-        """Begin.
-
-        Args:
-            sensors: their samples, which are evaluated without corrections.
+        """Begin. `sensors`: their samples, which are evaluated without corrections.
 
         Raises:
             CalibrationError: nothing is open.
@@ -79,8 +76,7 @@ class Refinement:
     def step(self, time: float) -> Corrections:
         """Take the frame that leaves the window next, go on with the calibration, return the corrections.
 
-        Args:
-            time: stamp of the frame on the uncorrected clock of the video, s.
+        `time`: stamp of the frame on the uncorrected clock of the video, s.
         """
         smoother = self._window.smoother
         if smoother.inside[0]:

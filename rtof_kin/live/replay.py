@@ -73,10 +73,7 @@ class ReplayClock:
             return self.first + self._round * self._step
 
     def cover(self, name: str, first: float, last: float) -> None:
-        """Take part: the replay begins at the earliest time of all sources.
-
-        Args:
-            first, last: its times, s.
+        """Take part: the replay begins at the earliest time of all sources. `first`, `last`: its times, s.
 
         Raises:
             SourceError: no time is common with another source, so their clocks differ.
@@ -93,8 +90,7 @@ class ReplayClock:
     def now(self, reader: object) -> float:
         """Return the time that was reached, s; it begins with the first call.
 
-        Args:
-            reader: the source that asks. Without pace, its second question begins a new round.
+        `reader`: the source that asks. Without pace, its second question begins a new round.
         """
         with self._lock:
             if self._begun is None:
@@ -119,8 +115,7 @@ class ReplayClock:
     def wait(self, until: float, stop: threading.Event) -> bool:
         """Wait for a time; return False where `stop` was set before.
 
-        Args:
-            until: s; without pace there is nothing to wait for.
+        `until`: s; without pace there is nothing to wait for.
         """
         while not stop.is_set():
             if not self.paced:
@@ -167,8 +162,7 @@ _NO_FAULTS: Final = Faults()
 class RecordingReplay:
     """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
 
-    Args:
-        streams: sensors with orientation, at their own times on one clock.
+    `streams`: sensors with orientation, at their own times on one clock.
 
     Raises:
         InvalidInputError: neither sensors nor frames. UnknownNameError: a fault of an unknown sensor.
@@ -239,8 +233,7 @@ class RecordingReplay:
     ) -> Self:
         """Replay sensor files; orientations that they lack are estimated by the causal filter.
 
-        Args:
-            path: file or folder that `read_sensor_log` reads.
+        `path`: file or folder that `read_sensor_log` reads.
 
         Raises:
             SourceError: not read, or a sensor has neither an orientation nor what gives one.
@@ -270,8 +263,7 @@ class RecordingReplay:
     ) -> Self:
         """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
 
-        Args:
-            path: file with times that `read_detector_keypoints` reads.
+        `path`: file with times that `read_detector_keypoints` reads.
 
         Raises:
             SourceError: not read, or without times.

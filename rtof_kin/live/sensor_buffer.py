@@ -63,8 +63,7 @@ class SensorBuffer:
     def add(self, sensor: str, time: float, R_inertial_sensor: Array, f_sensor: Array) -> None:
         """Take a sample; those without an orientation are left out, as are further ones of the same time.
 
-        Args:
-            time: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN where missing.
+        `time`: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN where missing.
 
         Raises:
             UnknownNameError: the sensor is not calibrated.
@@ -103,8 +102,7 @@ class SensorBuffer:
     def correct(self, heading: Mapping[str, float], R_mounting: Mapping[str, Array]) -> None:
         """Rotate what `at` returns from now on.
 
-        Args:
-            heading: segment -> rotation about world's z, rad. R_mounting: segment -> (3, 3) in its axes.
+        `heading`: segment -> rotation about world's z, rad. R_mounting: segment -> (3, 3) in its axes.
         """
         for s, joint in enumerate(self.joints):
             self._heading[s] = heading.get(joint, 0.0)
@@ -114,8 +112,7 @@ class SensorBuffer:
     def at(self, times: Array, *, corrected: bool = True) -> tuple[Array, Array, Array, Array]:
         """Return quaternions (F, S, 4) and whether known (F, S), accelerations (F, S, 3) and whether known.
 
-        Args:
-            times: (F,) of frames, s. corrected: as `correct` asks for.
+        `times`: (F,) of frames, s. corrected: as `correct` asks for.
         """
         self._convert()
         S, F = len(self.joints), len(times)

@@ -145,8 +145,7 @@ class LiveSession:
     def step(self, arrival: float) -> list[OnlineEstimate]:
         """Take what has arrived and return the estimates that are due.
 
-        Args:
-            arrival: now, s on a clock that never goes back, such as `time.monotonic`.
+        `arrival`: now, s on a clock that never goes back, such as `time.monotonic`.
         """
         began = time.perf_counter()
         self._began = arrival if math.isnan(self._began) else self._began
@@ -350,8 +349,7 @@ class LiveSession:
     ) -> SessionSummary:
         """Run until told to stop, interrupted (Ctrl-C), or all sources have finished.
 
-        Args:
-            clock: of the arrivals, s. period_s: between two polls; 0 for a replay that need not keep pace.
+        `clock`: of the arrivals, s. period_s: between two polls; 0 for a replay that need not keep pace.
         """
         stopped = stop.is_set if isinstance(stop, Event) else stop
         try:
@@ -378,8 +376,7 @@ class LiveSession:
     def finish(self, arrival: float) -> SessionSummary:
         """Stop everything, make the recording and return what happened; may be called twice.
 
-        Args:
-            arrival: now, s on the clock of the arrivals.
+        `arrival`: now, s on the clock of the arrivals.
         """
         if self._summary is not None:
             return self._summary

@@ -42,8 +42,7 @@ _FOLLOWED: Final = ("rate", "jitter", "samples lost", "stuck")
 def shape_faults(samples: Sequence[Sample], landmarks: Sequence[int]) -> list[str]:
     """Return for each sample why its arrays cannot even be kept; '' where they can.
 
-    Args:
-        samples: of any streams. landmarks: for each sample the number of points that its source names.
+    `samples`: of any streams. landmarks: for each sample the number of points that its source names.
     """
     return [_shape_fault(sample, L) for sample, L in zip(samples, landmarks, strict=True)]
 
@@ -118,8 +117,7 @@ def unknown_landmarks(names: Sequence[str], setup: Recording) -> list[str]:
 def landmark_sentences(landmarks: Sequence[str], setup: Recording) -> list[str]:
     """Return what to say about the points of a camera's stream: unknown names, and missing ones.
 
-    Args:
-        setup: with the skeleton, and the keypoints of the setup if any.
+    `setup`: with the skeleton, and the keypoints of the setup if any.
     """
     known = list(setup.skeleton.landmarks)
     unknown = unknown_landmarks(landmarks, setup)

@@ -105,8 +105,7 @@ class Examination:
     def take(self, until: float = np.inf, wait: bool = False) -> list[FrameSample]:
         """Return the frames that were examined, oldest first.
 
-        Args:
-            until: latest stamp, s. wait: until it is known that no other frame has such a stamp.
+        `until`: latest stamp, s. wait: until it is known that no other frame has such a stamp.
         """
         found: list[FrameSample] = []
         with self._changed:

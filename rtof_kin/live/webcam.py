@@ -23,10 +23,7 @@ _DRIFT: Final = 1e-4  # [s/s] Largest difference of the rates of a camera's cloc
 
 
 def device_of(camera: int | str, platform: str = sys.platform) -> tuple[str, str]:
-    """Return name and format under which FFmpeg opens a camera.
-
-    Args:
-        platform: as `sys.platform`.
+    """Return name and format under which FFmpeg opens a camera. `platform`: as `sys.platform`.
 
     Raises:
         SourceError: the system is not known, or has no camera of that number.
@@ -56,8 +53,7 @@ def cameras_of(kind: str) -> list[str]:
 def open_webcam(camera: int | str, size_px: tuple[int, int] | None = None) -> tuple[Any, Any]:
     """Open a camera and return PyAV's container and video stream.
 
-    Args:
-        size_px: wanted width and height; the camera may give others.
+    `size_px`: wanted width and height; the camera may give others.
 
     Raises:
         SourceError: there is no such camera, another program uses it, or it may not be used.
@@ -102,8 +98,7 @@ def _no_camera(camera: int | str, kind: str) -> SourceError:
 def images_of(container: Any, stream: Any) -> Iterator[Any]:
     """Generate the frames of a camera; what is damaged is left out, and its end is the end.
 
-    Args:
-        container, stream: of `open_webcam`.
+    `container`, `stream`: of `open_webcam`.
     """
     av = optional("av", "video")
     packets = container.demux(stream)
@@ -136,8 +131,7 @@ class CaptureTimes:
     def __call__(self, stamp: float | None, now: float) -> float:
         """Return when an image was taken, s; later than the one before.
 
-        Args:
-            stamp: of the driver, s. now: when it arrived, s.
+        `stamp`: of the driver, s. now: when it arrived, s.
         """
         taken = now
         if stamp is not None:

@@ -180,8 +180,7 @@ def live_page() -> str:
 def page_headers(host: str) -> dict[str, str]:
     """Return HTTP headers of the page: it may run its own script, and connect to its own server only.
 
-    Args:
-        host: of the server, ``HOST:PORT`` as the browser names it; checked by the caller.
+    `host`: of the server, ``HOST:PORT`` as the browser names it; checked by the caller.
     """
     style, script = map(source_hash, _sources())
     policy = (

@@ -131,8 +131,7 @@ class Window:
     def prefer(self, posture: Mapping[str, Array]) -> None:
         """Move the means of the pose prior.
 
-        Args:
-            posture: joint -> rotation vector (3,) from the mean of the problem, in its parent's axes, rad.
+        `posture`: joint -> rotation vector (3,) from the mean of the problem, in its parent's axes, rad.
         """
         means, names = self.data.constant["quat_mean"].T, self.data.space.names
         self.smoother.constant["quat_mean"] = moved_means(means, names, posture).T
@@ -142,8 +141,7 @@ class Window:
     def sense(self, first: int, times: Array) -> None:
         """Evaluate the sensors again.
 
-        Args:
-            first: index in the window of the first frame. times: (N - first,) of the frames, s.
+        `first`: index in the window of the first frame. times: (N - first,) of the frames, s.
         """
         if self.sensors is None or not len(times):
             return
@@ -169,8 +167,7 @@ class Window:
     def see(self, i: int, sample: FrameSample, offset: float, speed: Array | None) -> None:
         """Put the points of a video frame into frame i of the window.
 
-        Args:
-            offset: time of the frame after the sample, s. speed: (L, 2) of the points, px/s; None where unknown.
+        `offset`: time of the frame after the sample, s. speed: (L, 2) of the points, px/s; None where unknown.
         """
         assert self.camera is not None
         uv, camera, rows = sample.uv_px, self.camera, self.smoother.rows
@@ -213,8 +210,7 @@ class Window:
     def lift(self, frames: Sequence[int], poses: Sequence[StreamedPose], images: int) -> None:
         """Anchor frames of the window to lifts, where nothing better observes the body.
 
-        Args:
-            images: that each of them stands for.
+        `images`: that each of them stands for.
         """
         own, rows, s = list(frames), self.smoother.rows, self._settings
         p = np.stack([pose.p_world_joint for pose in poses])
@@ -253,8 +249,7 @@ class Window:
     def stand(self, times: Array) -> None:
         """Find standing feet: they are on the floor and, without an image, hold their place.
 
-        Args:
-            times: (N,) of the frames, s.
+        `times`: (N,) of the frames, s.
         """
         s, smoother = self._settings, self.smoother
         lost = self.lost_s > _LOST_S
@@ -346,8 +341,7 @@ def _problem(
 def speeds(sample: FrameSample, before: FrameSample | None, longest: float) -> Array | None:
     """Return the speed (L, 2) of the points, px/s; None without a sample shortly before.
 
-    Args:
-        longest: time between them, s.
+    `longest`: time between them, s.
     """
     if before is None or not 0 < sample.time - before.time <= longest:
         return None
@@ -364,8 +358,7 @@ class WindowPoses:
     def of(self, i: int, time: float) -> PoseSequence:
         """Return the pose of a frame: provenance, validity and observed orientations as after SF2.
 
-        Args:
-            time: of the frame, s.
+        `time`: of the frame, s.
         """
         window, skeleton = self._window, self._skeleton
         p, R = window.data.space.poses(window.smoother.x[i : i + 1])

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.core.checks import some
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
 from rtof_kin.data.confidence import BAND_95
@@ -23,23 +24,14 @@ from rtof_kin.plan.plan import SEEN, Option, Plan
 from rtof_kin.plan.prediction import ENOUGH, UNITS
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Document, Figure, Table, some, write_files
+from rtof_kin.reporting.document import Badge, Document, Figure, Table, write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 MARKER: Final = "plan.json"
-COLUMNS: Final = (
-    "angle",
-    "shown",
-    "sd_deg",
-    "half_band_deg",
-    "simulated_error_deg",
-    "inside_95",
-    "observed_share",
-    "identifiable",
-    "confused_with",
-)
+_ACCURACY: Final = "sd_deg half_band_deg simulated_error_deg inside_95 observed_share"
+COLUMNS: Final = ("angle", "shown", *_ACCURACY.split(), "identifiable", "confused_with")
 _CLEAR: Final = 0.1
 """Least gain in the mean standard deviation, relative to it, that is worth a change: others are within the
 scatter of a few simulated recordings."""
@@ -297,13 +289,7 @@ def plan_figure(plan: Plan) -> Plot:
     _draw_angles(figure.add_subplot(grid[:, 0]), plan)
     _draw_options(figure.add_subplot(grid[0, 1]), _shortened(plan.cameras), "camera place")
     named = [
-        Option(
-            " at ".join(dict.fromkeys((o.name, where(plan.setup, o.name)))) if o.name else "as planned",
-            o.loss,
-            o.gain,
-            o.most,
-            o.problem,
-        )
+        replace(o, name=" at ".join(dict.fromkeys((o.name, where(plan.setup, o.name)))) if o.name else "as planned")
         for o in plan.sensors
     ]
     _draw_options(figure.add_subplot(grid[1, 1]), named, "one more sensor")

@@ -1,6 +1,6 @@
 """Validation of joint angles on a public data set that the user has downloaded.
 
-Videos are detected first, each once. A job is then one take: it is set up as ``rtof-kin init`` does,
+Videos are detected first, each once. A job is then one take: it is set up as ``rtof-kin run --only recording`` does,
 reconstructed, and its clinical angles are compared with the set's reference at the same instants. Work that
 is done is not done again; a take that fails is named with its reason and tried again by the next run.
 """
@@ -44,7 +44,8 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.reporting import document
 from rtof_kin.reporting.document import Document
-from rtof_kin.setup.init import SetupSettings, find_people, write_recording
+from rtof_kin.setup.init import find_people, write_recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
@@ -274,7 +275,7 @@ def compared_with(
     return facts | {"methods": {"angles": {one.angle: len(one.difference) for one in found}}}, arrays
 
 
-# --- from the inputs of a take to its recording, by the same steps as ``rtof-kin init`` -----------
+# --- from the inputs of a take to its recording, by the same steps as ``rtof-kin run`` ------------
 
 
 def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> tuple[Recording, list[str]]:

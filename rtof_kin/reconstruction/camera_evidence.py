@@ -276,6 +276,12 @@ def without_heading_drift(
 def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: float) -> HeadingDrift:
     """Estimate the drift of a camera's heading.
 
+    A phone knows its camera's tilt from gravity, but its heading drifts (that of the background's keyframes hardly
+    does). Segments in the image and by their sensors differ by this drift, by errors of the lifter that depend on the
+    pose, and by the drift of the sensors' headings, which is the same to a reconstruction. The drift is a line and a
+    random walk, estimated by Gaussian process regression (Rasmussen and Williams 2006, ch. 2) from means over two
+    seconds. Removing it corrects positions in world; those relative to the root hardly change.
+
     Args:
         poses: lifted from the image alone, in the world of the camera that stands still.
         sigma_rate: standard deviation of a steady drift, rad/s.

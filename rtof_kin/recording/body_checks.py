@@ -46,29 +46,21 @@ def limb_bones(names: Sequence[str]) -> dict[str, tuple[int, int]]:
 
 
 def skeleton_bones(names: Sequence[str], parents: Sequence[int]) -> dict[str, tuple[int, int]]:
-    """Return the bones of a tree of joints, as `limb_bones` does.
-
-    Args:
-        parents: index of each joint's parent, -1 for the root.
+    """Return the bones of a tree of joints, as `limb_bones` does, from the index of each joint's parent, -1 for the
+    root.
     """
     return {f"{names[p]} to {names[j]}": (p, j) for j, p in enumerate(parents) if p >= 0}
 
 
 def bone_lengths(p: Array, bones: Mapping[str, tuple[int, int]]) -> dict[str, Array]:
-    """Return the length (T,) of each bone, m, NaN where an end is missing.
-
-    Args:
-        p: points (T, J, 3) m. bones: as `limb_bones` gives them.
+    """Return the length (T,), m, of each bone of `limb_bones` between points (T, J, 3), m; NaN where an end is
+    missing.
     """
     return {name: np.linalg.norm(p[:, a] - p[:, b], axis=-1) for name, (a, b) in bones.items()}
 
 
 def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Check]:
-    """Check the standard deviation of every bone's length.
-
-    Args:
-        lengths: (T,) m by bone. limit_mm: largest standard deviation, mm.
-    """
+    """Check the standard deviation of every bone's length (T,), m, against a limit in mm."""
     name, checks = "spread of length", []
     for bone, length in lengths.items():
         known = length[np.isfinite(length)]
@@ -82,11 +74,7 @@ def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Ch
 
 
 def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
-    """Check that the points are as far apart as those of a person.
-
-    Args:
-        p: positions (T, J, 3) m. metres: length of that unit, m.
-    """
+    """Check that points (T, J, 3) are as far apart as those of a person; `metres` is the length of their unit."""
     name = "size of the person"
     seen = np.isfinite(p).all(axis=-1).sum(axis=1) >= 5
     if not seen.any():

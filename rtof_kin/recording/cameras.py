@@ -56,10 +56,8 @@ _log = logging.getLogger(__name__)
 
 
 def read_camera(table: CameraTable) -> Camera:
-    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Return a camera given by its matrices, by position, target and focal length, or by a calibration file;
+    `FileFormatError`, `UnknownNameError` and `UnitError` name file, field and remedy.
     """
     if table.file is None:
         camera = _declared_camera(table)
@@ -118,10 +116,8 @@ def _sigmas(table: UncertaintyTable | AccuracyTable | None) -> CameraUncertainty
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:
-    """Return the table that `read_camera` reads back exactly.
-
-    Args:
-        camera: to write; of uncertainties that were not read from a table, the last bit may change.
+    """Return the table that `read_camera` reads back exactly; of uncertainties not read from a table, the last bit may
+    change.
     """
     more: dict[str, Any] = {"assumed": list(camera.assumed)} if camera.assumed else {}
     if camera.stabilised:
@@ -159,13 +155,8 @@ def _number_of(value: float, unit: float) -> float:
 def filmed_stream(
     camera: CameraTable, keypoints: KeypointsTable, skeleton: SkeletonModel, source: Source
 ) -> tuple[Stream[KeypointSequence], str]:
-    """Read a camera and open its keypoints; those of a camera that turns are stabilised.
-
-    Returns:
-        The keypoints, and a note about the turning, empty without one.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Read a camera and open its keypoints; those of a camera that turns are stabilised, and a note, else empty, says
+    so. Errors as `read_camera`.
     """
     seen = read_camera(camera)
     found = _keypoint_stream(keypoints, seen, skeleton, source)
@@ -216,10 +207,8 @@ def _camera_motion(table: CameraMotionTable) -> CameraMotion:
 
 
 def camera_and_keypoints(keypoints: KeypointSequence, which: int) -> dict[str, Any]:
-    """Return the tables ``camera`` and ``keypoints`` that are read back exactly.
-
-    Args:
-        keypoints: written to `keypoint_file`. which: camera, 0 for the first.
+    """Return the tables ``camera`` and ``keypoints`` that are read back exactly, for `keypoint_file` of a camera, from
+    0.
     """
     seen = {"file": keypoint_file(which), "landmarks": list(keypoints.names)}
     return {"camera": camera_table(keypoints.camera), "keypoints": seen}
@@ -271,11 +260,7 @@ def _keypoint_stream(
 
 
 def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
-    """Return pixels and confidences, 1 for every point seen where the file has none.
-
-    Args:
-        arrays: uv_px (T, L, 2) and maybe confidence (T, L).
-    """
+    """Return pixels (T, L, 2) and confidences (T, L), 1 for every point seen where the file has none."""
     uv = arrays["uv_px"]
     confidence: Array = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
     if confidence.shape != uv.shape[:2]:
@@ -330,10 +315,8 @@ def _on_video(keypoints: KeypointSequence, start: float) -> KeypointSequence:
 
 
 def arranged_keypoints(path: Path, columns: dict[str, Array]) -> tuple[tuple[str, ...], dict[str, Array]]:
-    """Return landmark names and the arrays uv_px (T, L, 2), confidence (T, L) and, if present, times (T,).
-
-    Args:
-        path: a .csv file with the columns of a recording's keypoints. columns: (T,) by name.
+    """Return landmark names and the arrays uv_px (T, L, 2), confidence (T, L) and, if present, times (T,) from the
+    columns (T,) of a recording's .csv file.
     """
     arrays = {"times": columns["time"]} if "time" in columns else {}
     names = csv_names(path, [name for name in columns if name != "time"], _COLUMNS, optional=1)

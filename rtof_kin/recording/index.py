@@ -6,11 +6,10 @@ The format is described in docs/recording.md.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, fields
-from datetime import date
+from dataclasses import fields
 from functools import cache
 from pathlib import Path, PurePath
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,60 +21,10 @@ from rtof_kin.core.files.input_table import InputTable
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.cameras import filmed_stream
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import imu_stream
 from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
 from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
-
-
-@dataclass(frozen=True)
-class Session:
-    """Labels of one session; '' where unknown."""
-
-    subject: str = ""
-    """Name or code of the person recorded."""
-    operator: str = ""
-    """Person who made the recording."""
-    date: str = ""
-    """Day of the recording, as 2026-01-31."""
-    place: str = ""
-    """Place of the recording."""
-    protocol: str = ""
-    """Task of the subject."""
-
-    def __post_init__(self) -> None:
-        if not self.date:
-            return
-        try:
-            date.fromisoformat(self.date)
-        except ValueError as error:
-            raise InvalidInputError(
-                f"session date: {self.date!r} is not a day; write year, month and day, as 2026-01-31"
-            ) from error
-
-    @classmethod
-    def of(cls, labels: Mapping[str, Any]) -> Self:
-        """Make the labels from plain data.
-
-        Args:
-            labels: text by field; missing fields are unknown.
-
-        Raises:
-            InvalidInputError: a label is not text, or the date not a day.
-        """
-        known = {field.name: labels.get(field.name, "") for field in fields(cls)}
-        for name, text in known.items():
-            if not isinstance(text, str):
-                raise InvalidInputError(f"session {name}: {str(text)[:40]!r} is not text")
-        return cls(**known)
-
-    def plain(self) -> dict[str, str]:
-        """Return the known labels by field."""
-        return {name: text for name, text in asdict(self).items() if text}
-
-    def updated(self, other: Session) -> Session:
-        """Return these labels, replaced by those of another session where it has them."""
-        return Session.of(self.plain() | other.plain())
-
 
 INDEX: Final = "recording.toml"
 UNFINISHED: Final = PurePath("live", "setup")
@@ -99,12 +48,7 @@ shipped = cache(SkeletonModel.named)
 
 
 def index_of(folder: Path) -> RecordingTable:
-    """Return the tables of a recording's ``recording.toml``.
-
-    Raises:
-        FileFormatError, UnknownNameError: it does not exist, is not TOML or has something wrong; the message names
-            file, field and remedy.
-    """
+    """Return the tables of a recording's ``recording.toml``; errors as `InputTable.read`."""
     path = folder / INDEX
     if folder.is_dir() and not path.exists():
         if (folder / UNFINISHED / INDEX).is_file():
@@ -125,11 +69,7 @@ def index_of(folder: Path) -> RecordingTable:
 
 
 def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], Streams]:
-    """Return the fields of a `Recording`, and open its streams.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
-    """
+    """Return the fields of a `Recording`, and open its streams; errors as `read_camera`."""
     subject, notes = index.subject, index.notes.text
     facts: dict[str, Any] = {
         "skeleton_table": index.skeleton.table,
@@ -182,11 +122,7 @@ def body_of(
     mass_kg: float | None = None,
     sex: str | None = None,
 ) -> SkeletonModel:
-    """Return a table's skeleton with these offsets, or else this height and then these lengths.
-
-    Args:
-        skeleton_table, joint_offsets, bone_lengths, height, mass_kg, sex: fields of `Recording`.
-    """
+    """Return a table's skeleton with a `Recording`'s offsets, or else its height and then its lengths."""
     skeleton = shipped(skeleton_table)
     if joint_offsets is None:
         skeleton = skeleton if height is None else skeleton.with_height(height)

@@ -33,17 +33,8 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
-from rtof_kin.recording.index import (
-    INDEX,
-    SCHEMA_VERSION,
-    SKELETONS,
-    TRUTH,
-    Session,
-    body_of,
-    index_of,
-    read_index,
-    shipped,
-)
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.streams import ALL, OnDisk, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
@@ -328,10 +319,8 @@ _LABELS: Final = ("name", "session", "notes")
 
 
 def recording_digest(index: str, streams: Streams) -> str:
-    """Return the SHA-256 of a recording's numbers; how its files hold them, and its labels, do not matter.
-
-    Args:
-        index: text of ``recording.toml``.
+    """Return the SHA-256 of a recording's numbers and ``recording.toml``; how its files hold them, and its labels, do
+    not matter.
     """
     facts = {name: value for name, value in tomllib.loads(index).items() if name not in _LABELS}
     lines = [json.dumps(facts, sort_keys=True)]

@@ -101,9 +101,7 @@ def _opened(
 
 def _read_log(table: ImusTable, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
     """Read the sensor files of a recording: those in use, by the segments that carry them, on the recording's clock.
-
-    Raises:
-        FileFormatError, UnknownNameError: the message names file, field and remedy.
+    Errors name file, field and remedy.
     """
     path = data_path(table, or_folder=True)
     declared = {name: getattr(table, name) for name in ("rate_hz", *CHOICES)}

@@ -33,11 +33,7 @@ BLOCK: Final = 2048
 
 
 def rows_between(times: Array, start_s: float, stop_s: float) -> slice:
-    """Return the rows whose times lie in a closed interval.
-
-    Args:
-        times: (T,) s, increasing. start_s, stop_s: first and last instant, s; samples at them belong to it.
-    """
+    """Return the rows whose increasing times (T,), s, lie in a closed interval."""
     first, last = np.searchsorted(times, start_s, "left"), np.searchsorted(times, stop_s, "right")
     return slice(int(first), max(int(first), int(last)))
 
@@ -55,11 +51,7 @@ class Stream(Generic[Part]):
         return len(self.times)
 
     def between(self, start_s: float, stop_s: float) -> Part | None:
-        """Return the samples in a closed interval; None where there are none.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-        """
+        """Return the samples in a closed interval, s; None where there are none."""
         rows = rows_between(self.times, start_s, stop_s)
         return self.part(rows) if rows.start < rows.stop else None
 
@@ -79,10 +71,8 @@ class Streams:
     truth: Stream[PoseSequence] | None
 
     def parts(self, rows: Callable[[Stream[Any]], Any]) -> dict[str, Any]:
-        """Return the fields of a `Recording` that hold the samples.
-
-        Args:
-            rows: samples of a stream; None where there are none.
+        """Return the fields of a `Recording` that hold the samples (None where there are none) that `rows` takes of a
+        stream.
         """
 
         def of(stream: Stream[Any] | None) -> Any:
@@ -93,11 +83,7 @@ class Streams:
         return parts | {"views": tuple(view for view in views if view is not None)}
 
     def check_clocks(self) -> None:
-        """Check that all streams overlap in time with the first one.
-
-        Raises:
-            InvalidInputError: one does not.
-        """
+        """Check that all streams overlap in time with the first one; raise `InvalidInputError` where one does not."""
         named = {"keypoints": self.keypoints, "IMU": self.imus, "truth": self.truth}
         named |= {f"view {i}": view for i, view in enumerate(self.views, start=1)}
         (first, times), *others = ((what, part.times) for what, part in named.items() if part is not None)
@@ -215,11 +201,8 @@ class Source:
     """How arrays are read from files, and where they stay: as a whole, in memory."""
 
     def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
-        """Open an .npz file.
-
-        Args:
-            axes: number of axes of the arrays with a row for each sample.
-            constants: names of further arrays that it may have; others raise `UnknownNameError`.
+        """Open an .npz file of arrays with a row for each sample (axes by name), and of constants; others raise
+        `UnknownNameError`.
         """
         arrays = read_npz(path)
         indices_of(f"array in {path}", sorted(arrays), (*axes, *constants))
@@ -329,11 +312,7 @@ def data_path(table: InputTable, or_folder: bool = False, field: str = "file") -
 
 
 def needed(path: Path, shapes: Mapping[str, tuple[int, ...]], name: str, shape: str) -> tuple[int, ...]:
-    """Return the shape of a required array, or raise `FileFormatError`.
-
-    Args:
-        shape: its axes, e.g. ``"(T, S, 4)"``.
-    """
+    """Return the shape of a required array with axes e.g. ``"(T, S, 4)"``, or raise `FileFormatError`."""
     if name not in shapes:
         have = ", ".join(shapes) or "nothing"
         raise FileFormatError(path, f"no array {name!r} of shape {shape}; there is {have}")
@@ -355,10 +334,8 @@ def times_of(table: KeypointsTable | ImusTable, path: Path, arrays: Table, T: in
 
 
 def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: int = 0) -> tuple[str, ...]:
-    """Return names in the order of their first column.
-
-    Args:
-        endings: of the columns of each name. optional: number of the last endings that are not required.
+    """Return names in the order of their first column; so many of the last endings of a name's columns are not
+    required.
     """
     names: dict[str, None] = {}
     for column in columns:

@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,10 @@ from rtof_kin.body.motion_file import motion_path
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
-from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
+from rtof_kin.clinical.gait import PHASES, GaitAnalysis
 from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis
+from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.array_types import Array
@@ -48,8 +48,9 @@ from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
-from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, write_files
+from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, subplots, write_files
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
+from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 MARKER: Final = "angles.csv"
 _BLOCK: Final = 3600
 """Rows of a table that are formatted at once."""
+_STRIDE: Final = ("side", "start_s", "toe_off_s", "stop_s", "stride_length_m")  # names of the fields of a `Stride`
 _DIGITS: Final = 9  # after the point, of what is written
 _ALL: Final = 17  # significant digits: a number as it is
 WRENCH_COLUMNS: Final = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
@@ -91,22 +93,6 @@ class _Series:
             values = np.asarray(self.values(frames), dtype=float).tolist()
             for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), start):
                 yield [time, *([] if self.words is None else [self.words(t)]), *_rounded(row)]
-
-
-@dataclass(frozen=True)
-class AnalysisSettings:
-    """What is analysed."""
-
-    weight_kg: float | None = None
-    """Body mass, kg, for joint torques; default: that of the recording."""
-    sex: Literal["male", "female"] | None = None
-    """Sex of the subject, of the tables of body mass."""
-    height: float | None = None
-    """Standing height, m, that the size of the skeleton is checked with."""
-    repetitions: Kind | None = None
-    """Movement that is counted."""
-    from_standing: bool = False
-    """Angles of trunk and legs relative to half a second or more of the person's quiet standing."""
 
 
 def write_analysis(
@@ -167,7 +153,12 @@ def document(analysis: MotionAnalysis) -> Document:
         Figure("figures/angles", "Joint angles over time with their 95 % bands", lambda: angles_over_time(analysis))
     ]
     if analysis.curves:
-        tables["gait_cycles.csv"] = _cycles(analysis.curves)
+        names, cells = ["cycle_percent"], [100 * PHASES]
+        for curve in analysis.curves:
+            name = curve.name if curve.name.startswith(curve.side) else f"{curve.name}_{curve.side}_cycle"
+            names += [f"{name}_mean_deg", f"{name}_sd_deg"]
+            cells += [np.degrees(curve.mean), np.degrees(curve.sd)]
+        tables["gait_cycles.csv"] = Table(names, list(map(_rounded, np.stack(cells, axis=-1))))
         if gait.is_gait:
             alt = "Mean and standard deviation of angles over the gait cycle"
             figures.append(Figure("figures/gait_cycles", alt, lambda: gait_cycles(analysis)))
@@ -255,16 +246,7 @@ def _gait_facts(gait: GaitAnalysis) -> dict[str, Any]:
             side: {"heel_strikes": foot.strikes.tolist(), "toe_offs": foot.offs.tolist()}
             for side, foot in gait.events.feet.items()
         },
-        "strides": [
-            {
-                "side": s.side,
-                "start_s": s.start,
-                "toe_off_s": s.toe_off,
-                "stop_s": s.stop,
-                "stride_length_m": s.stride_length,
-            }
-            for s in gait.strides
-        ],
+        "strides": [dict(zip(_STRIDE, vars(stride).values(), strict=True)) for stride in gait.strides],
         "summary": {
             side: {
                 name + units.get(name, ""): {"mean": _known(mean), "sd": _known(sd), "strides": n}
@@ -324,17 +306,15 @@ def _ranges(ranges: Sequence[RangeOfMotion]) -> Table:
         angles = {"low": r.low, "high": r.high, "range": r.range, "mean": r.mean}
         sigmas = {"low": r.low_sigma, "high": r.high_sigma, "range": r.range_sigma}
         intervals = {"low": r.low_interval, "high": r.high_interval, "range": r.range_interval}
-        values = (
-            {f"{name}_deg": np.degrees(value) for name, value in angles.items()}
-            | {"time_low_s": r.time_low, "time_high_s": r.time_high}
-            | {"peak_velocity_deg_per_s": np.degrees(r.peak_velocity)}
-            | {"known_share": r.known_share, "singular_share": r.singular_share, "trusted_share": r.trusted_share}
-            | {f"{name}_sigma_deg": np.degrees(value) for name, value in sigmas.items()}
-            | {"about_vertical": r.about_vertical}
-        )
+        values = {f"{name}_deg": np.degrees(value) for name, value in angles.items()}
+        values |= {"time_low_s": r.time_low, "time_high_s": r.time_high}
+        values |= {"peak_velocity_deg_per_s": np.degrees(r.peak_velocity)}
+        values |= {name: getattr(r, name) for name in ("known_share", "singular_share", "trusted_share")}
+        values |= {f"{name}_sigma_deg": np.degrees(value) for name, value in sigmas.items()}
+        values["about_vertical"] = r.about_vertical
         for name, ends in intervals.items():
             values |= {
-                f"{name}_interval_{end}_deg": np.degrees(x) for end, x in zip(("low", "high"), ends, strict=True)
+                f"{name}_interval_{k}_deg": np.degrees(end) for k, end in zip(("low", "high"), ends, strict=True)
             }
         for name, end in (("low", r.uncertain_low), ("high", r.uncertain_high)):
             values[f"uncertain_{name}_s"] = 0.0 if end is None else end.seconds
@@ -342,16 +322,6 @@ def _ranges(ranges: Sequence[RangeOfMotion]) -> Table:
         values["comparable"] = r.is_comparable
         rows.append([r.name, *_rounded(values.values())])
     return Table(("angle", *values), rows)
-
-
-def _cycles(curves: Sequence[CycleCurves]) -> Table:
-    """A row for each per cent of the cycle; a pair of columns for each angle and side."""
-    names, columns = ["cycle_percent"], [100 * PHASES]
-    for curve in curves:
-        name = curve.name if curve.name.startswith(curve.side) else f"{curve.name}_{curve.side}_cycle"
-        names += [f"{name}_mean_deg", f"{name}_sd_deg"]
-        columns += [np.degrees(curve.mean), np.degrees(curve.sd)]
-    return Table(names, list(map(_rounded, np.stack(columns, axis=-1))))
 
 
 def _torques(torques: JointTorques) -> tuple[Table, dict[str, Any]]:
@@ -379,23 +349,13 @@ def _reaction(reaction: GroundReaction) -> tuple[Table, dict[str, Any]]:
     axes = ("x", "y", "z")
     columns = [
         "status",
-        *(f"force_{c}_N" for c in axes),
-        *(f"force_{c}_sigma_N" for c in axes),
-        "pressure_x_m",
-        "pressure_y_m",
-        "pressure_x_sigma_m",
-        "pressure_y_sigma_m",
+        *(f"force_{c}{kind}_N" for kind in ("", "_sigma") for c in axes),
+        *(f"pressure_{c}{kind}_m" for kind in ("", "_sigma") for c in axes[:2]),
         "outside_soles_m",
         *(f"{side}_vertical_{end}_N" for side in SIDES for end in ("least", "most")),
     ]
-    series = (
-        reaction.force,
-        reaction.force_sigma,
-        reaction.pressure,
-        reaction.pressure_sigma,
-        reaction.outside[:, None],
-        reaction.vertical.reshape(-1, 4),
-    )
+    series = [reaction.force, reaction.force_sigma, reaction.pressure, reaction.pressure_sigma]
+    series += [reaction.outside[:, None], reaction.vertical.reshape(-1, 4)]
     rows = _Series(
         reaction.times,
         lambda frames: np.hstack([one[frames] for one in series]),
@@ -436,28 +396,16 @@ def _degrees(radians: float) -> float | None:
 MOST_DRAWN: Final = 10_000
 """Largest number of samples of a curve; an image has fewer columns of pixels."""
 SHOWN: Final = (
-    "pelvis_tilt",
-    "pelvis_list",
-    "spine_flexion",
-    "hip_flexion",
-    "hip_adduction",
-    "hip_internal_rotation",
-    "knee_flexion",
-    "ankle_dorsiflexion",
-    "ankle_inversion",
-    "shoulder_elevation",
-    "elbow_flexion",
-    "elbow_pronation",
+    *("pelvis_tilt", "pelvis_list", "spine_flexion", "hip_flexion", "hip_adduction", "hip_internal_rotation"),
+    *("knee_flexion", "ankle_dorsiflexion", "ankle_inversion"),
+    *("shoulder_elevation", "elbow_flexion", "elbow_pronation"),
 )
 """Angles that are plotted, without their side."""
 
 
 def ground_reaction_over_time(found: GroundReaction) -> Plot:
     """Plot the vertical force with its band and the interval of each foot, and the centre of pressure."""
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(10.0, 7.5), layout="constrained")
-    force, each, sole = figure.subplots(3, 1, sharex=True)
+    figure, ((force,), (each,), (sole,)) = subplots(3, 1, (10.0, 7.5), sharex=True)
     step = max(1, math.ceil(len(found.times) / MOST_DRAWN))
     times, weight = found.times[::step], found.body_weight
     total, band = found.force[::step, 2], BAND_95 * found.force_sigma[::step, 2]
@@ -538,10 +486,7 @@ def _plot(ax: Any, x: Any, y: Any, half: Any, side: str, label: str | None) -> N
 
 
 def _panels(label: str) -> tuple[Plot, dict[str, Any]]:
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(12, 11), layout="constrained")
-    grid = figure.subplots(4, 3, sharex=True)
+    figure, grid = subplots(4, 3, (12, 11), sharex=True)
     for ax in grid[-1]:
         ax.set_xlabel(label, fontsize=8)
     return figure, dict(zip(SHOWN, grid.ravel(), strict=True))
@@ -554,16 +499,8 @@ def _finish(axes: dict[str, Any]) -> None:
         ax.set_ylabel("[deg]", fontsize=8)
         ax.grid(alpha=0.3)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(
-                fontsize=7,
-                loc="lower right",
-                bbox_to_anchor=(1, 1),
-                ncols=2,
-                frameon=False,
-                borderaxespad=0,
-                handlelength=1,
-                columnspacing=1,
-            )
+            place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
+            ax.legend(fontsize=7, ncols=2, frameon=False, handlelength=1, columnspacing=1, **place)
         elif not ax.lines:
             ax.text(0.5, 0.5, "not observed", transform=ax.transAxes, ha="center", color="0.5")
             ax.set_yticks([])

@@ -26,7 +26,8 @@ from rtof_kin.core.files.manifest import file_digest
 from rtof_kin.core.files.text import load_json
 from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.formats.measurements_file import measurements_path
-from rtof_kin.recording.index import INDEX, Session
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.recording import Recording
 
 SUMS: Final = "SHA256SUMS"

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, fields
 from enum import Enum
 from typing import Any, Final, Self
 
+from rtof_kin.core.checks import some
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import FaultKind
 
@@ -203,8 +204,7 @@ def result_lines(results: Sequence[AuditResult], grade: Grade) -> Iterator[str]:
             continue
         worst = max(alike, key=lambda result: result.value - result.warn)
         others = [result.subject for result in alike if result is not worst]
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        yield f"{worst.text}; also {', '.join(others[:_NAMED])}{more}"
+        yield f"{worst.text}; also {some(others, _NAMED)}"
 
 
 _UNCHECKED: Final = 3  # largest number of unchecked things that are named
@@ -322,8 +322,7 @@ def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[Au
     unknown = list(result_lines(results, Grade.NOT_CHECKED))
     if checked and not any(result.section == "truth" for result in results):
         unknown.append("the error itself: there is no reference")
-    more = f" and {len(unknown) - _UNCHECKED} more" if len(unknown) > _UNCHECKED else ""
     parts = [f"checked, no problem found in {', '.join(checked)}"] if checked else []
     parts += weak
-    parts += [f"not checked: {'; '.join(unknown[:_UNCHECKED])}{more}"] if unknown else []
+    parts += [f"not checked: {some(unknown, _UNCHECKED, '; ')}"] if unknown else []
     return Grade.PASS if checked else Grade.WEAK if weak else Grade.NOT_CHECKED, "; ".join(parts)

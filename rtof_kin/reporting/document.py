@@ -253,6 +253,14 @@ def write_json(path: Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n", overwrite=True)
 
 
+def subplots(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Plot, Any]:
+    """Return a figure of some inches without pyplot's global state, and its axes (rows, columns)."""
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
 def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
     """Draw figures, write them as PNG, and return them by name; none without matplotlib."""
     pictures: dict[str, bytes] = {}
@@ -300,9 +308,9 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
     return text if float(text) else text.lstrip("-+")
 
 
-def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
-    """Return the first names, and how many more there are."""
-    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 def _known(cell: Cell) -> Cell:

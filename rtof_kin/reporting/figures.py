@@ -13,6 +13,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reporting.document import subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -55,19 +56,13 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
 
     Positions are relative to the estimate's root, seen from the camera and from its right; without a
     camera, from the front and the right. See `comparable` for mode imu.
-
-    Args:
-        result: of `reconstruct`.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)
     if result.recording.truth is not None:
         poses = comparable(poses, result.recording.truth, result.mode)
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(2.6 * instants, 6.4), layout="constrained")
-    axes = figure.subplots(2, instants, squeeze=False)
+    figure, axes = subplots(2, instants, (2.6 * instants, 6.4))
     sides, title = _sides(result)
     for column, frame in enumerate(frames):
         root = poses.p_world_joint[frame, 0]
@@ -91,12 +86,9 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
 
 def error_over_time(result: Reconstruction) -> Plot:
     """Plot the mean joint error of each stage over time, absolute and relative to the root, by a reference."""
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(11, 6), layout="constrained")
-    axes = figure.subplots(2, 1, sharex=True)
+    figure, axes = subplots(2, 1, (11, 6), sharex=True)
     titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
-    for ax, (key, title) in zip(axes, titles.items(), strict=True):
+    for ax, (key, title) in zip(axes.flat, titles.items(), strict=True):
         for stage, metrics in result.stage_metrics.items():
             label = f"{stage}: mean {metrics[key]:.1f} mm"
             times = result.stages[stage].times
@@ -106,7 +98,7 @@ def error_over_time(result: Reconstruction) -> Plot:
         ax.set_ylim(bottom=0)
         ax.legend(loc="upper right", fontsize=8)
         ax.grid(alpha=0.3)
-    axes[-1].set_xlabel("time [s]")
+    axes[-1, 0].set_xlabel("time [s]")
     figure.suptitle(f"{result.recording.name}: mean per joint position error of each stage")
     return figure
 
@@ -118,11 +110,8 @@ def joint_angles(result: Reconstruction) -> Plot:
     joints = hinges(skeleton)
     estimated = np.degrees(flexion(poses.p_world_joint, skeleton))
     true = None if truth is None else np.degrees(flexion(truth, skeleton))
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(11, 2.0 * len(joints)), layout="constrained")
-    axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
-    for ax, j in zip(axes, joints, strict=True):
+    figure, axes = subplots(len(joints), 1, (11, 2.0 * len(joints)), sharex=True)
+    for ax, j in zip(axes.flat, joints, strict=True):
         names = (dof.clinical.removeprefix("-") for dof in skeleton.table.joints[j].dofs)
         name = next(name for name in names if name.endswith("flexion"))
         if true is not None:
@@ -135,8 +124,8 @@ def joint_angles(result: Reconstruction) -> Plot:
         ax.set_title(name, fontsize=9)
         ax.set_ylabel("[deg]")
         ax.grid(alpha=0.3)
-    axes[0].legend(loc="upper right", fontsize=8)
-    axes[-1].set_xlabel("time [s]")
+    axes[0, 0].legend(loc="upper right", fontsize=8)
+    axes[-1, 0].set_xlabel("time [s]")
     figure.suptitle(f"{result.recording.name}: flexion angles (0 = straight)")
     return figure
 

@@ -16,17 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rtof_kin.body.motion_file import MotionReader, file_in, motion_folder, motion_path
+from rtof_kin.clinical import gait_scores as clinical
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.gait_scores import (
-    FEW,
-    DeviationIndex,
-    GaitScores,
-    Score,
-    deviation_index,
-    gait_features,
-    gait_scores,
-    people_scores,
-)
+from rtof_kin.clinical.gait_scores import FEW, DeviationIndex, GaitScores, Score
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
@@ -42,21 +34,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 COLUMNS: Final = (
-    "score",
-    "side",
-    "value_deg",
-    "low_deg",
-    "high_deg",
-    "noise_deg",
-    "corrected_deg",
-    "pose_sigma_deg",
-    "stride_sigma_deg",
-    "spread_between_strides_deg",
-    "strides",
-    "reference_median_deg",
+    *("score", "side", "value_deg", "low_deg", "high_deg", "noise_deg", "corrected_deg", "pose_sigma_deg"),
+    *("stride_sigma_deg", "spread_between_strides_deg", "strides", "reference_median_deg"),
 )
 LEAST_EXPLAINED: Final = 0.8
 """Share of a deviation outside of which the features do not describe it."""
+_OF_INDEX: Final = ("value", "low", "high", "explained_share")  # names of the fields of a `DeviationIndex`
 _FEW_STRIDES: Final = 4
 _ANALYSED: Final = "gait_cycles.csv"  # file of an analysis, which may be without its motion
 _BAR: Final = 9  # characters of the longest bar of the printed profile
@@ -129,8 +112,7 @@ def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycl
         FileFormatError: it is none of these, or damaged.
     """
     with MotionReader(motion_path(path)) as reader:
-        source = reader
-        return gait_cycles(source, from_standing=from_standing), source.skeleton.name
+        return gait_cycles(reader, from_standing=from_standing), reader.skeleton.name
 
 
 def find_people(folder: str | Path, from_standing: bool = False) -> FoundPeople:
@@ -193,10 +175,8 @@ def _person(path: Path, name: str) -> str:
     if not (path / SUMMARY).is_file():
         return name
     summary = read_summary(path / SUMMARY)
-    if summary.results:
-        verdict = headline(summary.results)
-        if verdict.grade is Grade.FAIL:
-            raise InvalidInputError(f"its audit fails: {verdict.text}")
+    if summary.results and (verdict := headline(summary.results)).grade is Grade.FAIL:
+        raise InvalidInputError(f"its audit fails: {verdict.text}")
     return summary.session.subject or name
 
 
@@ -229,15 +209,15 @@ class ScoredGait:
 
 def score_gait(name: str, cycles: GaitCycles, reference: GaitReference) -> ScoredGait:
     """Return the scores of a motion."""
-    people = people_scores(reference)
+    people = clinical.people_scores(reference)
     if cycles.why_not:
         return ScoredGait(name, cycles, reference, None, {}, cycles.why_not, people)
-    scores = gait_scores(cycles, reference)
+    scores = clinical.gait_scores(cycles, reference)
     try:
-        features = gait_features(reference)
+        features = clinical.gait_features(reference)
     except InvalidInputError as error:
         return ScoredGait(name, cycles, reference, scores, {}, f"{error}.", people)
-    index = {side: deviation_index(scores.curves[side], features) for side in SIDES}
+    index = {side: clinical.deviation_index(scores.curves[side], features) for side in SIDES}
     known = {side: found for side, found in index.items() if found.value == found.value}
     why = "" if known else "It needs all nine variables of a side."
     return ScoredGait(name, cycles, reference, scores, known, why, people)
@@ -248,7 +228,13 @@ def score_gait(name: str, cycles: GaitCycles, reference: GaitReference) -> Score
 
 def _opening(found: ScoredGait) -> list[str]:
     """Return the first lines: another system's reference, then the scores or why there are none."""
-    lines = [another_system(found)] if not found.reference.is_own else []
+    lines = []
+    if not found.reference.is_own:
+        lines.append(
+            f"The reference is of another system ({found.reference.system}; zero: {found.reference.zero}): its "
+            "model has other zeros, above all of pelvic tilt, hip rotation and ankle, and a constant offset "
+            "between the two counts as a deviation of the person."
+        )
     if found.scores is None:
         return [*lines, f"No gait scores: {found.cycles.why_not}"]
     lines.append(f"{_profile(found)}.")
@@ -260,15 +246,6 @@ def _opening(found: ScoredGait) -> list[str]:
         lines.append(f"Not observed in a whole stride: {text}.")
     lines.append(_index(found))
     return lines
-
-
-def another_system(found: ScoredGait) -> str:
-    """Return what to think of a reference that another system made."""
-    return (
-        f"The reference is of another system ({found.reference.system}; zero: {found.reference.zero}): its "
-        "model has other zeros, above all of pelvic tilt, hip rotation and ankle, and a constant offset "
-        "between the two counts as a deviation of the person."
-    )
 
 
 def _cautions(found: ScoredGait) -> list[str]:
@@ -399,23 +376,12 @@ def _facts(found: ScoredGait) -> dict[str, Any]:
         "overall_is": "nine variables of the left side and six of the right; the pelvis counts once",
         "band": "95 %, for errors of any correlation in time and between angles",
         "gdi": {
-            side: {
-                "value": number(one.value),
-                "low": number(one.low),
-                "high": number(one.high),
-                "explained_share": number(one.explained),
-            }
+            side: {name: number(value) for name, value in zip(_OF_INDEX, vars(one).values(), strict=True)}
             for side, one in found.index.items()
         },
         "why_no_gdi": found.why_no_index,
-        "reference": {
-            "people": reference.people,
-            "system": reference.system,
-            "zero": reference.zero,
-            "source": reference.source,
-            "licence": reference.licence,
-            "speed_m_per_s": None if reference.speed_range is None else list(reference.speed_range),
-        },
+        "reference": {name: getattr(reference, name) for name in ("people", "system", "zero", "source", "licence")}
+        | {"speed_m_per_s": None if reference.speed_range is None else list(reference.speed_range)},
     }
 
 

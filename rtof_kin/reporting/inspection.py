@@ -37,6 +37,7 @@ from rtof_kin.inertial.physics import check_log
 from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.document import subplots
 from rtof_kin.reporting.figures import ESTIMATE, TRUTH
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
@@ -193,11 +194,6 @@ def _motion(path: Path) -> Inspection:
     return _with_body(Inspection(path, "reconstructed motion", contents), poses.p_world_joint, bones)
 
 
-def _amc(path: Path) -> Inspection:
-    asf = find_asf(path)
-    return _articulated(path, f"AMC motion capture with {asf.name}", read_asf_amc(asf, path))
-
-
 def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspection:
     """Inspect motion capture, whose unit follows from the length of the legs if the joint names are known."""
     unit_m, notes = motion.unit_m or 1.0, []
@@ -259,15 +255,10 @@ def _yaml(path: Path) -> Inspection:
         return replace(found, notes=(_NO_POSE,))
 
 
-def _cameras(path: Path, title: str, cameras: Mapping[str, Camera]) -> Inspection:
+def _cameras(path: Path, title: str, cameras: Mapping[Any, Camera]) -> Inspection:
     contents = tuple((f"camera {name}", _camera(camera)) for name, camera in cameras.items())
-    checks = [check for name, camera in cameras.items() for check in bodies.check_camera(name, camera)]
+    checks = [check for name, camera in cameras.items() for check in bodies.check_camera(str(name), camera)]
     return Inspection(path, title, contents, tuple(checks))
-
-
-def _cal(path: Path) -> Inspection:
-    cameras = {str(number): camera for number, camera in read_cameras(path).items()}
-    return _cameras(path, f"cameras of Total Capture, as in {CAMERA_FILE}", cameras)
 
 
 def _camera(camera: Camera) -> str:
@@ -280,14 +271,16 @@ def _camera(camera: Camera) -> str:
 
 _BY_SUFFIX: Final[dict[str, Callable[[Path], Inspection]]] = {
     ".bvh": lambda path: _articulated(path, "BVH motion capture", read_bvh(path)),
-    ".amc": _amc,
+    ".amc": lambda path: _articulated(
+        path, f"AMC motion capture with {(asf := find_asf(path)).name}", read_asf_amc(asf, path)
+    ),
     ".trc": lambda path: _markers(path, "TRC markers", read_trc(path)),
     ".c3d": lambda path: _markers(path, "C3D points", read_c3d(path)),
     ".toml": lambda path: _cameras(path, "cameras in TOML", read_camera_toml(path)),
     ".yml": _yaml,
     ".yaml": _yaml,
     ".pickle": lambda path: _cameras(path, "camera of OpenCap", read_opencap(path)),
-    ".cal": _cal,
+    ".cal": lambda path: _cameras(path, f"cameras of Total Capture, as in {CAMERA_FILE}", read_cameras(path)),
     ".json": _keypoints,
     ".npy": _keypoints,
 }
@@ -319,10 +312,7 @@ def picture(inspection: Inspection) -> Plot | None:
 
 def _sensors(streams: tuple[SensorStream, ...]) -> Plot:
     rows = (_plot_force, _plot_angular_velocity, _plot_steps)
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(max(4.5 * len(streams), 7), 8), layout="constrained")
-    axes = figure.subplots(len(rows), len(streams), squeeze=False, sharex="col")
+    figure, axes = subplots(len(rows), len(streams), (max(4.5 * len(streams), 7), 8), sharex="col")
     for column, stream in zip(axes.T, streams, strict=True):
         for ax, plot in zip(column, rows, strict=True):
             plot(ax, stream)
@@ -371,10 +361,7 @@ def _plot_steps(ax: Any, stream: SensorStream) -> None:
 
 
 def _bones(lengths: dict[str, Array]) -> Plot:
-    from matplotlib.figure import Figure as Plot
-
-    figure = Plot(figsize=(9, 4.5), layout="constrained")
-    ax = figure.subplots()
+    figure, ((ax,),) = subplots(1, 1, (9, 4.5))
     for name, length in lengths.items():
         ax.plot(1000 * length, lw=1, label=f"{name}: spread {1000 * np.nanstd(length):.1f} mm")
     ax.set_xlabel("frame")

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_json
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"

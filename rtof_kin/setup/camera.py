@@ -72,8 +72,7 @@ def assumed_camera(width_px: int, height_px: int, lens: LensPrior, size: Field) 
 def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, int] | None, video: str) -> SetupCamera:
     """Read a calibration; where it has no pose, the pose is assumed.
 
-    Args:
-        path: see `rtof_kin.formats.cameras`. size_px: of the video's upright image, None where unknown.
+    `path`: see `rtof_kin.formats.cameras`. size_px: of the video's upright image, None where unknown.
 
     Raises:
         InvalidInputError: it is of another image size. Errors of `read_camera`.
@@ -198,8 +197,7 @@ def filming_camera(
 ) -> FilmingCamera:
     """Find out whether a camera stood still; of one that turned, its focal length follows too.
 
-    Args:
-        video: None where there is none. progress: called with ("camera", frames done, in total).
+    `video`: None where there is none. progress: called with ("camera", frames done, in total).
 
     Raises:
         InvalidInputError: a log without a video. FileFormatError: the log cannot be read.

@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from rtof_kin.data.camera_motion import stabilised
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
 from rtof_kin.recording.recording import Recording
@@ -41,6 +41,7 @@ from rtof_kin.setup.people import (
     write_people,
 )
 from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
@@ -55,42 +56,9 @@ if TYPE_CHECKING:
 KEYPOINTS: Final = "keypoints.npz"
 FINDINGS: Final = "findings.json"
 """Files of the folder beside `INDEX`, `PICTURE` and `IMUS`."""
-_LEAST_SEEN: Final = 0.7
-"""Share of the frames below which it is said that the person is seen rarely."""
-_SHORTEST: Final = 5.0
-"""[s] of a take below which it is said that it is short."""
+_LEAST_SEEN: Final = 0.7  # Share of the frames below which it is said that the person is seen rarely
+_SHORTEST: Final = 5.0  # [s] of a take below which it is said that it is short
 Detect = Callable[[Path], Detections]
-
-
-@dataclass(frozen=True)
-class SetupSettings:
-    """What the user says about a take."""
-
-    height: float | None = None
-    """Standing height of the person, m; every length follows it."""
-    pose: Literal["N", "T", "seated"] = "N"
-    """How the person stood still at first, of sensors without a video."""
-    person: int | None = None
-    """Number of the person in frames.png; default: the only prominent one."""
-    camera_name: str | None = None
-    """Of the camera, in a calibration file of several."""
-    phone_log: Path | None = None
-    """Gyroscope and accelerometer of the phone that filmed by hand, from which its tilt is known."""
-    rate_hz: float | None = None
-    """Frames per second of keypoints without times."""
-    size_px: tuple[int, int] | None = None
-    """Width and height of the image, px, for keypoints without a video, as 1920x1080."""
-    keep_video: bool = True
-    """Whether the folder may show and name the video; otherwise the keypoints alone are kept."""
-    model_dir: Path | None = None
-    """Folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; default:
-    what is at hand, downloaded models, else MediaPipe."""
-    lifter: LifterLike | None = field(default=None, compare=False)
-    """Default: the shipped one."""
-
-    def __post_init__(self) -> None:
-        if self.height is not None and not 0.4 < self.height < 2.6:
-            raise InvalidInputError(f"--height {self.height:g}: is no human height in metres; give e.g. --height 1.72")
 
 
 @dataclass(frozen=True)
@@ -307,8 +275,7 @@ def write_recording(
 def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
     """Return the texts of a recording's folder by file; without the name of a video that is not kept.
 
-    Args:
-        sources, settings: as for `make_recording`.
+    `sources`, `settings`: as for `make_recording`.
     """
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {

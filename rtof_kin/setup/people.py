@@ -28,12 +28,9 @@ if TYPE_CHECKING:
 
 _LEAST_WEIGHT: Final = 0.05
 """Share of the most prominent person's weight below which somebody is a passer-by or a false detection."""
-_RIVAL: Final = 0.4
-"""Share of the most prominent person's weight from which on the choice is left to the user."""
-_FEWEST_POINTS: Final = 4
-"""Points at once that make a person."""
-_DOUBLE: Final = 0.1
-"""Distance, relative to the diagonal of the person's box, within which two points are the same."""
+_RIVAL: Final = 0.4  # Share of the most prominent person's weight from which on the choice is left to the user
+_FEWEST_POINTS: Final = 4  # Points at once that make a person
+_DOUBLE: Final = 0.1  # Distance, relative to the diagonal of the person's box, within which two points are the same
 
 
 @dataclass(frozen=True)
@@ -56,19 +53,12 @@ class People:
         return np.asarray(self.detections.present.mean(axis=0))
 
     def first_frame(self, number: int) -> int:
-        """Return the first frame in which a person is seen.
-
-        Args:
-            number: from 1.
-        """
+        """Return the first frame in which a person is seen. `number`: from 1."""
         return int(np.argmax(self.detections.present[:, number - 1]))
 
 
 def number_people(detections: Detections, times: Array, image_px: tuple[float, float]) -> People:
-    """Number the people, the most prominent first: large, in the middle and often seen.
-
-    Args:
-        times: (T,) s.
+    """Number the people, the most prominent first: large, in the middle and often seen. `times`: (T,) s.
 
     Raises:
         InvalidInputError: there is no person.
@@ -143,10 +133,7 @@ def no_person() -> InvalidInputError:
 
 
 def choose_person(people: People, number: int | None, picture: str) -> int:
-    """Return the number of the person that the recording is of.
-
-    Args:
-        number: as the user says, None where not said.
+    """Return the number of the person that the recording is of. `number`: as the user says, None where not said.
 
     Raises:
         InvalidInputError: there is no such person, or several are equally prominent and none was chosen.
@@ -181,8 +168,7 @@ def write_frames_picture(
 ) -> None:
     """Draw the people of a video at six instants.
 
-    Args:
-        path: .png file, replaced. video: whose frames are shown behind them; None: a plain background.
+    `path`: .png file, replaced. video: whose frames are shown behind them; None: a plain background.
 
     Raises:
         FileFormatError: the video cannot be read.

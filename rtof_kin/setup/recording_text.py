@@ -14,8 +14,7 @@ from tomlkit.items import Table
 
 from rtof_kin.core.errors import InvalidInputError
 
-_WIDTH: Final = 100
-"""Longest line with its comment; a longer comment stands above the line."""
+_WIDTH: Final = 100  # Longest line with its comment; a longer comment stands above the line
 _LEGEND: Final = (
     "Where each value is from:",
     "  given    you said so",
@@ -58,10 +57,7 @@ Tables = Mapping[str, "Field | Tables"]
 
 
 def recording_text(tables: Tables, title: str) -> str:
-    """Return the TOML text of tables of fields.
-
-    Args:
-        title: first line of the file's comment.
+    """Return the TOML text of tables of fields. `title`: first line of the file's comment.
 
     Raises:
         InvalidInputError: a value cannot be written in TOML.

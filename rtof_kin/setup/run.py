@@ -21,63 +21,23 @@ from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording, RecordingReader
-from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
+from rtof_kin.reporting.analysis import write_analysis
 from rtof_kin.reporting.export import MARKER, export
 from rtof_kin.reporting.page import PAGE, report
+from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
-from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
+from rtof_kin.setup.init import Detect, Findings, make_recording
 from rtof_kin.setup.join import ABOUT, join_recordings
+from rtof_kin.setup.settings import ReconstructionTask, SecondCamera, SetupSettings
 
 RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
 """Folders that `run` writes, beside the report; the second and third where there are two cameras."""
-
-
-@dataclass(frozen=True)
-class ReconstructionTask:
-    """How the recording of a folder is reconstructed, beside the settings of its stages."""
-
-    mode: Mode | None = None
-    """lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision only; rtof: everything;
-    imu: sensors only, without a camera; default: the one that uses all that was recorded."""
-    model: Path | None = None
-    """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
-    perfect."""
-    calibrate: bool = False
-    """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
-    calibration: Path | None = None
-    """Calibration of another recording of the same person: bones, ankles and landmark offsets are taken from it; with
-    calibrate delay, mounting and biases are estimated for this one."""
-    figures: bool = True
-    """Draw figures, where matplotlib is installed."""
-
-    def lifter(self) -> LifterLike | None:
-        """Load the model that is named; None for the shipped one."""
-        if self.model is None:
-            return None
-        from lifting.predict import Lifter
-
-        return Lifter.load(self.model)
-
-
-@dataclass(frozen=True)
-class SecondCamera:
-    """Files of a second camera that saw the same."""
-
-    second: tuple[Path, ...] = ()
-    """Video or keypoints of a second camera (or both) that saw the same; its location is found."""
-    second_person: int | None = None
-    """Number of the person in second/frames.png."""
-    second_camera: str | None = None
-    """Name of the second camera, in the calibration among the files."""
-    synchronised: bool = False
-    """Both cameras have one clock; default: it is found."""
 
 
 @dataclass(frozen=True)

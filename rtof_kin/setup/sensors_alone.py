@@ -18,9 +18,10 @@ from rtof_kin.inertial.pose_calibration import PoseCalibration, calibrate_by_pos
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log, write_imus
-from rtof_kin.setup.init import Findings, SetupSettings, findings_of, subject_table, texts_of
+from rtof_kin.setup.init import Findings, findings_of, subject_table, texts_of
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 from rtof_kin.setup.sensors import known_places
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 
 
@@ -36,7 +37,7 @@ def make_sensor_recording(
 
     Args:
         sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; height and pose (`rtof_kin.inertial.poses`) are used.
+        settings: of the user; height and pose (`rtof_kin.inertial.pose_calibration.POSES`) are used.
         name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
 
     Raises:

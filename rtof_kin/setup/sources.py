@@ -27,8 +27,7 @@ VIDEO_SUFFIXES: Final = frozenset(
     {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".3gp"}
 )
 """Suffixes of videos, for containers that do not show themselves by their first bytes."""
-_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""First boxes of MP4, MOV and 3GP."""
+_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # First boxes of MP4, MOV and 3GP
 _CONTAINERS: Final = (
     b"\x1a\x45\xdf\xa3",
     b"\x30\x26\xb2\x75\x8e\x66\xcf\x11",
@@ -184,10 +183,7 @@ class Sources:
 
     @classmethod
     def of(cls, paths: Iterable[str | Path]) -> Sources:
-        """Sort files and folders by what they are.
-
-        Args:
-            paths: in any order.
+        """Sort files and folders by what they are. `paths`: in any order.
 
         Raises:
             FileFormatError: one does not exist, or is nothing of these.

@@ -113,10 +113,8 @@ def detector_error_table() -> DetectorErrorTable:
 
 
 def read_detector_error_table(path: str | Path) -> DetectorErrorTable:
-    """Read a table of a detector's errors.
-
-    Raises:
-        FileFormatError: not TOML, or a field is missing or of the wrong kind. UnknownNameError: unknown layout.
+    """Read a table of a detector's errors; `FileFormatError` where it is not TOML, or a field is missing or of the
+    wrong kind, `UnknownNameError` for an unknown layout.
     """
     data = load_toml(Path(path))
     try:

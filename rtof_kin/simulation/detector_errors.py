@@ -29,10 +29,8 @@ from rtof_kin.vision.image_points import harmonics
 
 
 def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory: float) -> Array:
-    """Return a stationary process (T, *size) of unit variance with an exponential autocorrelation.
-
-    Args:
-        memory: correlation time in frames; 0 gives white noise.
+    """Return a stationary process (T, *size) of unit variance with an exponential autocorrelation of a correlation time
+    in frames; 0 gives white noise.
     """
     noise = rng.standard_normal((frames, *size))
     if memory <= 0:
@@ -48,11 +46,8 @@ def smoothed(values: Array, width: float) -> Array:
 
 
 def episodes(rng: Generator, per_minute: Array, rate_hz: float, median: float, spread: float) -> list[slice]:
-    """Return runs of frames that start at random, of log-normal durations of at least one frame.
-
-    Args:
-        per_minute: (T,) expected starts per minute at each frame. rate_hz: frames per second.
-        median: of the durations, s.
+    """Return runs of frames that start at random, at expected rates (T,) per minute, of log-normal durations (median in
+    s) of at least one frame.
     """
     starts = np.flatnonzero(rng.random(len(per_minute)) < per_minute / 60 / rate_hz)
     durations = median * np.exp(spread * rng.standard_normal(len(starts)))
@@ -68,11 +63,8 @@ _SPHERES = 6
 
 
 def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Index, skeleton: SkeletonModel) -> Mask:
-    """Return which points (T, K) stand behind the trunk, or behind the other leg if they are of a leg.
-
-    Args:
-        p_camera_joint: (T, J, 3) joints in camera axes, m. p_camera_point: (T, K, 3) likewise.
-        limb: (K,) 3 for points of the right leg, 4 for those of the left.
+    """Return which points (T, K) stand behind the trunk, or behind the other leg if their `limb` (K,) is 3, the right
+    leg, or 4, the left. Joints (T, J, 3) and points are in camera axes, m.
     """
 
     def joint(name: str) -> Array:

@@ -80,11 +80,12 @@ class MocapClip:
 
 
 def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str) -> MocapClip:
-    """Map a motion to the package's joints, at the source's rate.
+    """Map a motion without artificial frames to the package's joints, at its rate; `unit_m` is the source's unit, m.
 
-    Args:
-        motion: source frames without artificial ones. unit_m: length unit of the source, m.
-        rate_hz: its sampling rate, Hz.
+    A segment's orientation is its source's rotation from the T-pose, in axes x forward, y left, z up:
+    ``R_world_bone(t) = R_world_source(t) R_world_source(T-pose)^T``. Where the T-pose spreads legs or lowers arms, a
+    constant minimal rotation first brings thighs and shanks to -z, arms to +-y. Joint offsets are those of the T-pose
+    and constant: positions are forward kinematics.
     """
     offsets = restored_offsets(motion, family)
     rigid = replace(motion, offsets=offsets, p_parent_joint=None)
@@ -171,13 +172,8 @@ def _aimed(R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tupl
 
 
 def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
-    """Resample a clip; an integer ratio of rates takes every n-th frame.
-
-    Otherwise the rotation of each segment in its parent's frame is interpolated on the geodesic, the root's
-    position linearly, and joints follow by forward kinematics.
-
-    Args:
-        rate_hz: new sampling rate, Hz.
+    """Resample a clip; an integer ratio of rates takes every n-th frame. Otherwise the rotation of each segment in its
+    parent's frame is interpolated on the geodesic, the root's position linearly, and joints follow by kinematics.
     """
     poses = clip.poses
     ratio = poses.rate_hz / rate_hz
@@ -261,13 +257,8 @@ def _joined(clips: Iterable[MocapClip], length: int, rate_hz: float) -> MocapCli
 
 
 def find_asf(path_amc: str | Path) -> Path:
-    """Return the skeleton file beside an .amc file.
-
-    Args:
-        path_amc: ``16_21.amc`` belongs to ``16.asf``, ``gs_charleston2.amc`` to ``gs_charleston.asf``.
-
-    Raises:
-        FileFormatError: there is none.
+    """Return the skeleton beside an .amc, else `FileFormatError`: ``16.asf`` of ``16_21.amc``, ``gs_charleston.asf`` of
+    ``gs_charleston2.amc``.
     """
     path_amc = Path(path_amc)
     stem = path_amc.stem
@@ -372,10 +363,9 @@ def _rate(root: Path, row: dict[str, str]) -> float:
 
 
 def without_spikes(clip: MocapClip) -> list[MocapClip]:
-    """Return a clip without glitches, or the pieces between them, each starting at time 0.
-
-    Where a step between frames exceeds the limit of speed, velocity jump or turning rate, both frames and
-    a neighbour on either side are cut out; so are frames beyond the limit of the ankle.
+    """Return a clip without glitches, or the pieces between them, each starting at time 0. Where a step between frames
+    exceeds the limit of speed, velocity jump or turning rate, both frames and a neighbour on either side are cut out;
+    so are frames beyond the limit of the ankle.
     """
     poses = clip.poses
     good = ~_flipped(poses.R_world_bone)

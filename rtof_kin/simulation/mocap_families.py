@@ -95,11 +95,7 @@ def _family(name: str, row: dict[str, Any], table: dict[str, Any]) -> Family:
 
 
 def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
-    """Return the family of a skeleton.
-
-    Raises:
-        FileFormatError: an unknown skeleton, or one that lacks a joint of its family.
-    """
+    """Return the family of a skeleton; `FileFormatError` where it is unknown, or lacks a joint of its family."""
     family = _candidate(motion)
     if family is None:
         raise FileFormatError(
@@ -152,11 +148,7 @@ def restored_offsets(motion: ArticulatedMotion, family: Family) -> Array:
 
 
 def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) -> float:
-    """Return the one of `UNITS_M` that gives human legs, m.
-
-    Raises:
-        FileFormatError: none does.
-    """
+    """Return the one of `UNITS_M` that gives human legs, m; `FileFormatError` where none does."""
     offsets = restored_offsets(motion, family)
     below_hip = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
     joints = [motion.index(family.at[NAMES.index(joint)][0]) for joint in below_hip]

@@ -158,10 +158,8 @@ def _coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Seque
 
 
 def smooth_noise(rng: Generator, times: Array, memory: float, size: Sequence[int], smoothing: float = 0.5) -> Array:
-    """Return coloured noise (T, *size) of unit variance, low-pass filtered with a first-order filter.
-
-    Args:
-        times: (T,) s. memory: correlation time, s. smoothing: time constant of the filter, s.
+    """Return coloured noise (T, *size) of unit variance, low-pass filtered with a first-order filter; correlation time
+    and the filter's time constant in s.
     """
     raw = _coloured_noise(rng, times, memory, size)
     share = np.exp(-np.diff(times) / smoothing)
@@ -186,10 +184,8 @@ def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: 
 
 
 def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Array:
-    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames.
-
-    Episodes start at the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected
-    share is exact.
+    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames. They start at
+    the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected share is exact.
     """
     out = np.zeros((len(times), L, 2))
     shortest, longest = noise.outlier_duration
@@ -206,13 +202,8 @@ def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Arr
 
 
 def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> Mask:
-    """Return which landmarks (T, L) the detector misses.
-
-    A landmark outside the image is missed. When less than half of the person is inside, the whole person is
-    lost for some time.
-
-    Args:
-        times: (T,) s. inside: (T, L) inside the image.
+    """Return which landmarks (T, L) the detector misses. A landmark outside the image is missed. When less than half of
+    the person is inside, the whole person is lost for some time.
     """
     if not noise.hides_outside:
         return np.zeros_like(inside)
@@ -225,10 +216,8 @@ def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> 
 
 
 def confidences(rng: Generator, times: Array, errors: Array, noise: KeypointNoise) -> Array:
-    """Return the confidences (T, L) in (0, 1] that the detector reports, mostly independent of its errors.
-
-    Args:
-        times: (T,) s. errors: (T, L, 2) px.
+    """Return the confidences (T, L) in (0, 1] that the detector reports, mostly independent of its errors (T, L, 2),
+    px.
     """
     mood = _coloured_noise(rng, times, noise.drift_memory, errors.shape[1:2])
     size = np.linalg.norm(errors, axis=-1) / noise.outlier_px
@@ -276,11 +265,7 @@ def _wobble(rng: Generator, times: Array, R_parent_bone: Array) -> Array:
 
 
 def accelerometer_errors(rng: Generator, times: Array, a_world: Array, noise: ImuNoise) -> Array:
-    """Return errors of an accelerometer in sensor axes (T, 3), m/s^2.
-
-    Args:
-        times: (T,) s. a_world: (T, 3) acceleration, m/s^2.
-    """
+    """Return errors of an accelerometer in sensor axes (T, 3), m/s^2, of an acceleration (T, 3) in world, m/s^2."""
     size = np.linalg.norm(a_world, axis=-1, keepdims=True)
     white = noise.white + noise.white_per_acceleration * size
     return np.asarray(
@@ -294,6 +279,10 @@ def simulate_imus(
     rng: Generator, poses: PoseSequence, skeleton: SkeletonModel, sensors: Sequence[str], times: Array, noise: ImuNoise
 ) -> tuple[ImuSequence, ImuCalibration]:
     """Simulate the samples of sensors on a body, and their calibration, exact but for the misalignment.
+
+    A sensor has its usual position on its segment, a random mounting and heading. Its specific force is
+    ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint + R_world_bone lever``.
+    Slip rotates the sensor on the segment, so that orientation and acceleration stay consistent in sensor axes.
 
     Args:
         rng: source of randomness; a subset of the sensors has the same errors as the whole set.

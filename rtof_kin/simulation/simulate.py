@@ -48,14 +48,9 @@ CLAVICLE_DEG: Final = (5.0, 1.5, 6.0)
 
 
 def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
-    """Return a movement as a person with another neutral posture makes it.
-
-    Args:
-        poses: (T, J) the movement.
-
-    Returns:
-        The movement with pelvis, lumbar spine and clavicles turned by constants in their own frames. Limbs,
-        head and upper trunk keep their orientations; the lowest foot keeps its height.
+    """Return a movement (T, J) as a person with another neutral posture makes it: with pelvis, lumbar spine and
+    clavicles turned by constants in their own frames. Limbs, head and upper trunk keep their orientations; the lowest
+    foot keeps its height.
     """
     R, p_root = np.array(poses.R_world_bone), poses.p_world_joint[:, 0]
     at = {name: skeleton.names.index(name) for name in ("Hips", *SPINE, "LeftShoulder", "RightShoulder")}
@@ -113,10 +108,9 @@ class SimulationSettings:
 
     @classmethod
     def independent(cls) -> Self:
-        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs.
-
-        Each joint has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is
-        late by 1 to 4 frames. Real detectors' errors are correlated and depend on the view (`realistic`).
+        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs. Each joint
+        has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is late by 1 to 4 frames.
+        Real detectors' errors are correlated and depend on the view (`realistic`).
         """
         return cls(keypoints=KeypointNoise(), video_lag_frames=(1.0, 4.0))
 
@@ -230,13 +224,9 @@ def simulate_file(
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
-    """Remove the jitter of optical markers, which would dominate an IMU's acceleration.
-
-    Orientations are low-pass filtered by element (zero phase) and projected to the nearest rotation, the
-    root's position likewise; joints follow by forward kinematics.
-
-    Args:
-        cutoff_hz: -3 dB frequency, Hz, below half that rate.
+    """Remove the jitter of optical markers, which would dominate an IMU's acceleration. Orientations are low-pass
+    filtered by element (zero phase, -3 dB at `cutoff_hz`, below half that rate) and projected to the nearest rotation,
+    the root's position likewise; joints follow by forward kinematics.
     """
     poses = clip.poses
     if not 0 < cutoff_hz < poses.rate_hz / 2:
@@ -250,10 +240,9 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
 
 
 def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
-    """Return the benchmark's four cameras around a motion, about 90 degrees apart.
-
-    1920 x 1080, f = 1250 px, 0.8-2.6 m high, aimed at the middle of the motion from 3-6 m away, or from
-    further where less than nine tenths of it would be in view.
+    """Return the benchmark's four cameras around a motion, about 90 degrees apart: 1920 x 1080, f = 1250 px, 0.8-2.6 m
+    high, aimed at the middle of the motion from 3-6 m away, or from further where less than nine tenths of it would be
+    in view.
     """
     rng = np.random.default_rng(seed)
     p = poses.p_world_joint[np.isfinite(poses.p_world_joint).all(axis=(1, 2))]
@@ -344,16 +333,10 @@ _DOT_COLUMNS: Final = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,
 
 
 def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
-    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them.
-
-    The sensors' files are those of Movella DOTs, one per sensor, named by a letter and a number. Mounting,
-    headings and the time between the two clocks are in none of the files.
-
-    Args:
-        overwrite: replace what this wrote there earlier.
-
-    Raises:
-        InvalidInputError: there are no keypoints. OutputExistsError: `folder` may not be replaced.
+    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them; `overwrite`
+    replaces what this wrote earlier. The sensors' files are those of Movella DOTs, one per sensor, named by a letter
+    and a number. Mounting, headings and the time between the two clocks are in none of the files. `InvalidInputError`:
+    no keypoints; `OutputExistsError`: `folder` may not be replaced.
     """
     keypoints = recording.video
     columns = {"time": keypoints.times}

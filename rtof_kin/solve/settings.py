@@ -93,7 +93,7 @@ class JointSpaceSettings:
     limits: bool = True
     """Whether hinges keep the skeleton's anatomical limits (`joint_space.state.Limits`)."""
     refit_root: bool = True
-    """Whether the root of the initial guess is moved onto its rays (`inertial.root_position`)."""
+    """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
     smooth_start_hz: float = 6.0
     """[Hz] Low-pass cutoff of the initial guess."""
     annealing: int = 6
@@ -201,7 +201,7 @@ class CartesianSettings:
     padding: Padding = "masked"
     """'masked': frames beyond the ends have no observations; 'replicate': the paper's copies."""
     refit_root: bool = True
-    """Whether the root of the initial guess is moved onto its rays (`inertial.root_position`)."""
+    """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
     backend: Backend = "ipopt"
     """'ipopt', or 'realtime' for energies without constraints (Levenberg-Marquardt on a banded Hessian)."""
     tolerance: float = 1e-6

@@ -115,8 +115,7 @@ def block_content(
 ) -> BlockContent:
     """Return what is drawn of a block.
 
-    Args:
-        poses: of the block; joints of the skeleton that they do not have are missing. start: first frame of the block.
+    `poses`: of the block; joints of the skeleton that they do not have are missing. start: first frame of the block.
     """
     poses = with_joints_of(poses, skeleton)
     p, R = poses.p_world_joint, poses.R_world_bone
@@ -163,8 +162,7 @@ def segment_provenance(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[
 def with_joints_of(poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
     """Return poses of all joints of a skeleton in its order, with orientations wherever they follow.
 
-    Args:
-        poses: of some of its joints, e.g. of motion capture; others are left out. skeleton: see above.
+    `poses`: of some of its joints, e.g. of motion capture; others are left out. skeleton: see above.
     """
     if poses.names != skeleton.names:
         poses = _reordered(poses, skeleton)
@@ -198,8 +196,7 @@ def _flags(poses: PoseSequence) -> tuple[Mask, Mask, Mask]:
 def ellipsoids(covariance: Array, finite: Mask) -> Ellipsoids:
     """Return the 95 % ellipsoids of positions.
 
-    Args:
-        covariance: (n, J, 3, 3) m^2; NaN where unknown. finite: (n, J) whether there is a position.
+    `covariance`: (n, J, 3, 3) m^2; NaN where unknown. finite: (n, J) whether there is a position.
     """
     known: Mask = np.asarray(np.isfinite(covariance).all(axis=(-2, -1))) & finite
     values, vectors = np.linalg.eigh(np.where(known[..., None, None], covariance, np.eye(3)))

@@ -23,8 +23,7 @@ T = TypeVar("T")
 class BlockCache(Generic[T]):
     """Blocks of a motion by frame. All methods but the computation are of one thread.
 
-    Args:
-        compute: makes a block from its first frame and the one after its last.
+    `compute`: makes a block from its first frame and the one after its last.
     """
 
     def __init__(self, frames: int, compute: Callable[[int, int], T], block: int = BLOCK):
@@ -35,8 +34,7 @@ class BlockCache(Generic[T]):
     def at(self, frame: int, seconds: float = 0.0) -> tuple[T, int] | None:
         """Return the block of a frame and the frame's place in it; None while that is read or computed.
 
-        Args:
-            seconds: to wait for it, s.
+        `seconds`: to wait for it, s.
 
         Raises:
             RtofError: the block cannot be read.

@@ -42,8 +42,7 @@ class VideoFrames:
     def __init__(self, path: str | Path, receive: Callable[[Image], None]):
         """Open the video and start the thread; end it with `close`.
 
-        Args:
-            receive: called in the thread with (height, width, 3) RGB images.
+        `receive`: called in the thread with (height, width, 3) RGB images.
 
         Raises:
             FileFormatError: not a readable video, or one without times. RtofError: the extra is missing.
@@ -71,8 +70,7 @@ class VideoFrames:
     def request(self, time: float) -> None:
         """Ask for the image at a time; an earlier request that waits is dropped.
 
-        Args:
-            time: s since the first frame, real time, as `KeypointSequence.video_times`.
+        `time`: s since the first frame, real time, as `KeypointSequence.video_times`.
         """
         with self._changed:
             self._wanted = time
@@ -245,8 +243,7 @@ class CameraLayer:
     def show_image(self, image: NDArray[np.uint8]) -> None:
         """Show an image in the frustum.
 
-        Args:
-            image: (height, width, 3) RGB, of the whole upright video image at any size.
+        `image`: (height, width, 3) RGB, of the whole upright video image at any size.
         """
         if self.image is None:
             camera = self.camera

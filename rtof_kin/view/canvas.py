@@ -112,8 +112,7 @@ class Canvas:
     def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
         """Draw a disc; nothing if its centre is not finite.
 
-        Args:
-            centre: (2,) px. stroke: how; its radius is the disc's.
+        `centre`: (2,) px. stroke: how; its radius is the disc's.
         """
         self.line(centre, centre, stroke)
 
@@ -157,8 +156,7 @@ class Canvas:
     def stamp(self, left: int, top: int, coverage: Coverage, colour: Rgb) -> None:
         """Blend a colour where a mask says so.
 
-        Args:
-            left, top: where the mask's first pixel lies, px. coverage: (h, w), 0 to 1.
+        `left`, `top`: where the mask's first pixel lies, px. coverage: (h, w), 0 to 1.
         """
         height, width = coverage.shape
         x, y = max(left, 0), max(top, 0)
@@ -257,8 +255,7 @@ class LabelLayout:
     ) -> dict[str, Box]:
         """Return a box for each label; a label for which there is no room is left out.
 
-        Args:
-            avoided: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
+        `avoided`: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
         """
         used = list(taken)
         out: dict[str, Box] = {}

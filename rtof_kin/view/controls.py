@@ -39,8 +39,7 @@ class Playback:
     def at(self, now: float) -> float:
         """Return the time to show, s; playing ends at the last frame, or begins again.
 
-        Args:
-            now: of a monotonic clock, s.
+        `now`: of a monotonic clock, s.
         """
         with self._lock:
             if not self._playing:
@@ -213,8 +212,7 @@ class Controls:
     def look_through(self, client: Any, number: int) -> None:
         """Put a browser's view into a camera, with its image behind the person.
 
-        Args:
-            client: of viser; None for all of them.
+        `client`: of viser; None for all of them.
         """
         layer = self._scene.cameras[number]
         self._follow.value = False

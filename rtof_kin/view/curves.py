@@ -130,10 +130,7 @@ class Curves:
         )
 
     def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
-        """Show the curves around a time; return False while they are computed.
-
-        Args:
-            time: of it, s.
+        """Show the curves around a time; return False while they are computed. `time`: of it, s.
 
         Raises:
             RtofError: the motion cannot be read.

@@ -146,10 +146,7 @@ def write_overlay(
 
 
 def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureView:
-    """Return the camera of a motion, or a virtual one where there was none.
-
-    Args:
-        number: of the camera, from 1.
+    """Return the camera of a motion, or a virtual one where there was none. `number`: of the camera, from 1.
 
     Raises:
         InvalidInputError: no camera of this number, or none with the geometry of the video.

@@ -159,10 +159,7 @@ def check_size(source: VideoSource, view: PictureView) -> tuple[str, ...]:
 
 
 def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[str, ...]:
-    """Return sentences on what does not fit between a video and a motion.
-
-    Args:
-        shift: s, added to the times of the video.
+    """Return sentences on what does not fit between a video and a motion. `shift`: s, added to the times of the video.
 
     Raises:
         InvalidInputError: no frame of the video is at a time of the motion.

@@ -37,8 +37,7 @@ def solid_colours(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def barrel(power: float = 3.0) -> Any:
     """Return a `trimesh.Trimesh` of revolution about z with radius 1 and half length 1, round at its ends.
 
-    Args:
-        power: 2 for a sphere; the larger, the more like a cylinder.
+    `power`: 2 for a sphere; the larger, the more like a cylinder.
     """
     z = -np.cos(np.linspace(0, np.pi, _ALONG))
     radius = np.maximum(1 - np.abs(z) ** power, 0.0) ** (1 / power)
@@ -80,11 +79,7 @@ def _put(handle: Any, positions: Array, quat_wxyz: Array, scales: Array) -> None
 
 
 class Body:
-    """Solids of the segments of one person.
-
-    Args:
-        colour: of all segments; None: that of their provenance.
-    """
+    """Solids of the segments of one person. `colour`: of all segments; None: that of their provenance."""
 
     def __init__(self, server: Any, name: str, solids: SegmentSolids, colour: Rgb | None = None, opacity: float = 1.0):
         self._sizes, self._colour = np.asarray(solids.sizes, dtype=np.float32), colour
@@ -153,11 +148,7 @@ class SensorBlock:
 
 
 class Sensors:
-    """Sensors on their segments, with the axes that they measured.
-
-    Args:
-        measurements: any frames.
-    """
+    """Sensors on their segments, with the axes that they measured. `measurements`: any frames."""
 
     def __init__(self, server: Any, name: str, skeleton: SkeletonModel, measurements: Measurements):
         self._joints = skeleton.index(*measurements.segments)
@@ -196,8 +187,7 @@ class RootPath:
     def show(self, p_root: Array, colours: NDArray[np.uint8]) -> None:
         """Show a path; it has gaps where a position is missing.
 
-        Args:
-            p_root: (n, 3) m; NaN where missing. colours: (n, 3) RGB of the points.
+        `p_root`: (n, 3) m; NaN where missing. colours: (n, 3) RGB of the points.
         """
         pairs = np.stack([p_root[:-1], p_root[1:]], axis=1)
         whole = np.isfinite(pairs).all(axis=(1, 2))

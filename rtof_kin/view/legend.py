@@ -116,8 +116,7 @@ def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = Fa
 def curves_html(curves: Sequence[tuple[Rgb, str]], in_parts: bool) -> str:
     """Return the names of curves in their colours.
 
-    Args:
-        curves: colour and name of each. in_parts: whether the angles are computed by parts of the motion.
+    `curves`: colour and name of each. in_parts: whether the angles are computed by parts of the motion.
     """
     names = " &nbsp; ".join(f"{_swatch(colour)} {escape(name)}" for colour, name in curves)
     note = "light dots: 95 % band; no dots: not observed"

@@ -25,8 +25,7 @@ _LARGEST: Final = 1 << 20  # [bytes] of a message
 def live_address(text: str) -> str:
     """Return the WebSocket address that a text names.
 
-    Args:
-        text: the address of the live page, or that with ``ws:`` in place of ``http:``; with its token.
+    `text`: the address of the live page, or that with ``ws:`` in place of ``http:``; with its token.
 
     Raises:
         InvalidInputError: not an address of this machine, or without a port or token.
@@ -61,10 +60,7 @@ class LiveClient:
     """
 
     def __init__(self, url: str):
-        """Connect, and wait for the description of the skeleton.
-
-        Args:
-            url: of `live_address`.
+        """Connect, and wait for the description of the skeleton. `url`: of `live_address`.
 
         Raises:
             SourceError: nobody answers there, or something else than rtof-kin live.

@@ -59,8 +59,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
 def address(server: Any, once: bool = False) -> str:
     """Return the address of the page, with its secret token.
 
-    Args:
-        server: of `local_server`. once: the one that leads there once, to start a browser with.
+    `server`: of `local_server`. once: the one that leads there once, to start a browser with.
     """
     door = _DOORS[server]
     return f"http://{LOOPBACK}:{server.get_port()}{door.ticket if once else door.path}"

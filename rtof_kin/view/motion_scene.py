@@ -107,8 +107,7 @@ class Stage:
     def follow(self, p_root: Array) -> None:
         """Move the scene so that a person stands in its middle, or to where it belongs.
 
-        Args:
-            p_root: (3,) m; where it is missing the scene stays.
+        `p_root`: (3,) m; where it is missing the scene stays.
         """
         if not self.following:
             self._at = np.zeros(3)
@@ -252,8 +251,7 @@ class MotionScene:
     def put_beside(self, distance: float) -> None:
         """Put the truth and the second motion beside the motion, at its left and right as the viewer sees.
 
-        Args:
-            distance: m; 0: in the same place.
+        `distance`: m; 0: in the same place.
         """
         for companion, sign in ((self.truth, 1.0), (self.second, -1.0)):
             if companion is not None:

@@ -80,8 +80,7 @@ class AngleLabels:
 def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLabels:
     """Return the labels of chosen angles.
 
-    Args:
-        chosen: names of angles; by default `USUAL`, those with a value at any time.
+    `chosen`: names of angles; by default `USUAL`, those with a value at any time.
 
     Raises:
         UnknownNameError: there is no such angle.
@@ -163,21 +162,13 @@ class Captions:
         self._legend = self._legend_rows()
 
     def boxes(self, time: float | None) -> tuple[Box, Box]:
-        """Return the boxes above and below that captions cover.
-
-        Args:
-            time: s, of the motion; None where there is none.
-        """
+        """Return the boxes above and below that captions cover. `time`: s, of the motion; None where there is none."""
         line, pad = self.lettering.line_height, 2 * self._pad
         below = (len(self._fault_lines(time)) + len(self._legend)) * line + pad
         return Box(0, 0, self._width, line + pad), Box(0, self._height - below, self._width, below)
 
     def draw(self, canvas: Canvas, time: float | None, video_time: float, seen: bool = True) -> None:
-        """Draw captions.
-
-        Args:
-            time: s, of the motion; None where there is none. video_time: s, of the video.
-        """
+        """Draw captions. `time`: s, of the motion; None where there is none. video_time: s, of the video."""
         above, below = self.boxes(time)
         for box in (above, below):
             canvas.shade(box, BLACK, _CAPTION_OPACITY)
@@ -254,8 +245,7 @@ class Painter:
     def paint(self, image: Image, video_time: float) -> bool:
         """Draw on one picture, in place; return whether a person is drawn.
 
-        Args:
-            image: (height, width, 3), BGR. video_time: s, in the time of the view's video.
+        `image`: (height, width, 3), BGR. video_time: s, in the time of the view's video.
         """
         moment = self._projected.moment(video_time)
         if self._face is not None:

@@ -200,8 +200,7 @@ class ProjectedMotion:
     def moment(self, video_time: float) -> Moment | None:
         """Return the frames of the motion at an instant of the video; None where there is no motion.
 
-        Args:
-            video_time: s, in the time of the video.
+        `video_time`: s, in the time of the video.
         """
         times, margin = self.view.video_times, _AT_ENDS * self._step
         if not times[0] - margin <= video_time <= times[-1] + margin:

@@ -58,10 +58,7 @@ class StaticPage:
 
 
 def frames_of_page(times: Array, start: float | None, stop: float | None, rate_hz: float) -> list[int]:
-    """Return the frames that a page shows.
-
-    Args:
-        times: (T,) s. start, stop: of the part, s; None: that of the motion.
+    """Return the frames that a page shows. `times`: (T,) s. start, stop: of the part, s; None: that of the motion.
 
     Raises:
         InvalidInputError: the part is empty, or the rate not positive.

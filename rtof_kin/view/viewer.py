@@ -118,10 +118,7 @@ class MotionViewer(Viewer):
     """A motion in the browser; `run` plays it until it is stopped."""
 
     def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
-        """Build scene and panel, and show the first frame.
-
-        Args:
-            server: of `local_server`. files: of `MotionFiles`.
+        """Build scene and panel, and show the first frame. `server`: of `local_server`. files: of `MotionFiles`.
 
         Raises:
             InvalidInputError: more videos than cameras. RtofError: a file cannot be read.

@@ -100,13 +100,8 @@ def with_focal(camera: Camera, factor: float) -> Camera:
 
 
 def focal_factor(camera: Camera, pairs: Sequence[Pair], sigma: float) -> tuple[float, float]:
-    """Return the factor on the focal length with which rotations explain the points best.
-
-    Args:
-        pairs: of images turned against each other, each with as many points.
-
-    Returns:
-        The factor and its relative standard deviation; 1 and `sigma` without pairs.
+    """Return the factor on the focal length with which rotations explain the points of turned images best, each pair
+    with as many points, and its relative standard deviation; 1 and `sigma` without pairs.
     """
     if not pairs:
         return 1.0, sigma
@@ -181,11 +176,7 @@ class BackgroundMotion:
         )
 
     def turning(self, limit_deg: float = MOST_TURNED_DEG) -> Check:
-        """Check that the camera stood still.
-
-        Args:
-            limit_deg: largest turn from the mean orientation, 95th percentile of the frames.
-        """
+        """Check that the camera stood still, by the turn from the mean orientation, 95th percentile of the frames."""
         turned = float(np.degrees(np.nanpercentile(self.motion.angles, 95)))
         return Check(
             "turning of the camera",

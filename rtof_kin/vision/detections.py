@@ -141,11 +141,7 @@ class Detections:
 
 
 def of_body(found: Detections) -> Detections:
-    """Return detections without face and hands, where they are of a whole body; else unchanged.
-
-    Args:
-        found: in any layout.
-    """
+    """Return detections without face and hands, where they are of a whole body; else unchanged."""
     K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
     if K is None:
         return found
@@ -176,11 +172,7 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 
 
 def read_csv_table(path: Path) -> Detections:
-    """Read a .csv of either form.
-
-    Raises:
-        FileFormatError: unreadable, or its columns are no points.
-    """
+    """Read a .csv of either form; `FileFormatError` where it is unreadable, or its columns are no points."""
     columns = read_csv(path)
     return _of_rows(path, columns) if has_rows(columns) else _of_columns(path, columns)
 
@@ -298,12 +290,9 @@ def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Ar
 
 
 def read_pixel_trc(path: Path) -> Detections:
-    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it.
-
-    Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
-
-    Raises:
-        FileFormatError: unreadable, in metres, or of markers that are no detector's points.
+    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it; its header says metres. Points
+    of the layout that its markers belong to and that it lacks are missing. `FileFormatError`: unreadable, in metres, or
+    of markers that are no detector's points.
     """
     markers = read_trc(path, up="z")
     uv = markers.p_world[..., :2]

@@ -38,10 +38,8 @@ _LEG: Final = 0.75
 
 
 def harmonics(direction: Array) -> Array:
-    """Return the functions (..., 8) of unit vectors that views are linear in.
-
-    Args:
-        direction: (..., 3) to the camera in the pelvis frame.
+    """Return the functions (..., 8) that views are linear in, of unit vectors (..., 3) to the camera in the pelvis
+    frame.
     """
     x, y, z = np.moveaxis(direction, -1, 0)
     return np.stack([x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
@@ -86,13 +84,8 @@ class DetectorPoint:
 
 
 def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
-    """Return the points of a layout that are used as measurements, by name.
-
-    Args:
-        layout: name of a detector's layout.
-
-    Raises:
-        UnknownNameError: unknown layout.
+    """Return the points of a detector's layout that are used as measurements, by name; `UnknownNameError` for
+    others.
     """
     return _shipped_points(detector_table().layout(layout))
 
@@ -103,13 +96,8 @@ def _shipped_points(layout: Layout) -> Mapping[str, DetectorPoint]:
 
 
 def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoint]:
-    """Read the points of a layout.
-
-    Args:
-        layout: name of a layout of the shipped table of detectors.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind. UnknownNameError: unknown layout.
+    """Read the points of a layout of the shipped table; `FileFormatError` where the file is not TOML or a field is
+    missing or of the wrong kind, `UnknownNameError` for an unknown layout.
     """
     path = Path(path)
     data, names = load_toml(path), detector_table().layout(layout).points
@@ -197,10 +185,8 @@ class ImagePoints:
         return np.asarray(p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places))
 
     def displaced(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
-        """Return by how much the points (T, L, 2) lie off their places in the undistorted image, px.
-
-        Args:
-            p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
+        """Return by how much the points (T, L, 2) lie off their places in the undistorted image, px, at joints (T, J,
+        3), m, and orientations (T, J, 3, 3).
         """
         toward = so3.unit(camera.center_world - p_world_joint[:, list(self.anchors)])
         R_pelvis = R_world_bone[:, 0] @ self.R_bone_pelvis
@@ -212,11 +198,7 @@ class ImagePoints:
         return np.asarray(camera.project(at + off) - camera.project(at))
 
     def slopes(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
-        """Return derivatives (T, L, 2, 3) of the undistorted image by the places, px/m.
-
-        Args:
-            camera: with or without distortion. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
-        """
+        """Return derivatives (T, L, 2, 3) of the undistorted image by the places, px/m; arguments as in `displaced`."""
         xyz = camera.to_camera(self.positions(p_world_joint, R_world_bone)) @ camera.K.T
         uv, depth = xyz[..., :2] / xyz[..., 2:], xyz[..., 2]
         by_world = camera.K @ camera.R_camera_world
@@ -250,10 +232,8 @@ class _Point(NamedTuple):
 
 
 def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
-    """Return points of a skeleton.
-
-    Args:
-        skeleton: the subject's. names: L landmarks of it, or detector's points (`measurements`).
+    """Return the points of the subject's skeleton for L names: landmarks of it, or detector's points
+    (`measurements`).
     """
     known = {name: point for name in names if (point := _measurement(name)) is not None}
     leg, turns = (_leg(skeleton), _turns(skeleton)) if known else (1.0, np.eye(3)[None])
@@ -306,10 +286,8 @@ def _of_detector(skeleton: SkeletonModel, point: DetectorPoint, leg: float, turn
 
 
 def measurements(keypoints: KeypointSequence, skeleton: SkeletonModel) -> KeypointSequence:
-    """Return what a solver compares with the body: the detector's own points, or else the landmarks.
-
-    Args:
-        skeleton: the subject's; detectors' places are known for the 21-joint one.
+    """Return what a solver compares with the body: the detector's own points, whose places are known for the 21-joint
+    skeleton, or else the landmarks.
     """
     own = [name for name in keypoints.names if _measurement(name) is not None]
     if own and skeleton.names == _shipped().names:

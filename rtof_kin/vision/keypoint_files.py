@@ -153,7 +153,15 @@ def _read_json(path: Path) -> Detections:
             return _of_list(path, data[key])
     if any(key in data for key in (*_PEOPLE, *_POINTS)):
         return _detections(path, {0: _people(path, data, "frame 0")})
-    return _by_name(path, data)
+    # Read frames keyed by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``.
+    frames: dict[int, list[Person]] = {}
+    for name, frame in data.items():
+        number = _number(Path(name).stem)
+        if number is None or number in frames:
+            known = ", ".join((*_PEOPLE, "annotations", "instance_info", "frames"))
+            raise FileFormatError(path, f"{name!r} is no name of a frame with a unique number, nor {known}")
+        frames[number] = _people(path, frame, f"frame {name}")
+    return _detections(path, frames)
 
 
 def _of_list(path: Path, entries: Sequence[Any]) -> Detections:
@@ -169,18 +177,6 @@ def _time(frame: Any) -> float | None:
         if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value) * unit
     return None
-
-
-def _by_name(path: Path, data: Mapping[str, Any]) -> Detections:
-    """Read frames keyed by the names of their images, e.g. ``{"0.jpg": {"people": [...]}}``."""
-    frames: dict[int, list[Person]] = {}
-    for name, frame in data.items():
-        number = _number(Path(name).stem)
-        if number is None or number in frames:
-            known = ", ".join((*_PEOPLE, "annotations", "instance_info", "frames"))
-            raise FileFormatError(path, f"{name!r} is no name of a frame with a unique number, nor {known}")
-        frames[number] = _people(path, frame, f"frame {name}")
-    return _detections(path, frames)
 
 
 def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any]) -> Detections:

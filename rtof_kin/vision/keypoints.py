@@ -101,14 +101,9 @@ def keypoints_from_detections(
     person: int | None = None,
     frame: int | None = None,
 ) -> DetectedKeypoints:
-    """Compute keypoints of one person from detections in memory.
-
-    Args:
-        times: (T,) s. camera, layout, person, frame: as in `read_detector_keypoints`.
-
-    Raises:
-        InvalidInputError: unrecognised layout, no such person, or points outside the camera's image.
-        UnknownNameError: unknown `layout`.
+    """Compute keypoints of one person from detections in memory at times (T,), s; see `read_detector_keypoints`.
+    `InvalidInputError`: unrecognised layout, no such person, or points outside the camera's image; `UnknownNameError`:
+    unknown `layout`.
     """
     regression = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)
@@ -117,7 +112,16 @@ def keypoints_from_detections(
     found = Detections(uv, confidence, identity=found.identity)
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
     uv, confidence = track.of(found)
-    _check_inside(uv, camera)
+    # Refuse points that lie mostly outside the image: the camera belongs to another video.
+    seen = np.isfinite(uv).all(axis=-1)
+    outside = np.any((uv < 0) | (uv > [camera.width_px, camera.height_px]), axis=-1)[seen]
+    if len(outside) and outside.mean() > MOST_OUTSIDE:
+        right, down = np.nanmax(uv, axis=(0, 1))
+        raise InvalidInputError(
+            f"{100 * outside.mean():.0f} % of the points lie outside of the camera's image of "
+            f"{camera.width_px} x {camera.height_px} px (they reach to {right:.0f}, {down:.0f}); give "
+            "the camera that belongs to this video"
+        )
     form = recognition.layout
     landmarks = regression.apply(form.name, uv, confidence)
     points = with_own_points(form, landmarks, uv, confidence)
@@ -136,19 +140,6 @@ def with_own_points(form: Layout, landmarks: RegressedLandmarks, uv: Array, conf
     K = 0 if form.name in OWN_LAYOUTS else len(form)
     sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, :K]
     return (np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1), np.concatenate([landmarks.confidence, sure], axis=1))
-
-
-def _check_inside(uv: Array, camera: Camera) -> None:
-    """Refuse points that lie mostly outside the image: the camera belongs to another video."""
-    seen = np.isfinite(uv).all(axis=-1)
-    outside = np.any((uv < 0) | (uv > [camera.width_px, camera.height_px]), axis=-1)[seen]
-    if len(outside) and outside.mean() > MOST_OUTSIDE:
-        right, down = np.nanmax(uv, axis=(0, 1))
-        raise InvalidInputError(
-            f"{100 * outside.mean():.0f} % of the points lie outside of the camera's image of "
-            f"{camera.width_px} x {camera.height_px} px (they reach to {right:.0f}, {down:.0f}); give "
-            "the camera that belongs to this video"
-        )
 
 
 def _times(found: Detections, rate_hz: float | None) -> Array:

@@ -118,10 +118,9 @@ class _ConditionedPose:
         return Regression(mean, gain, per_point, noise, size / size.sum(axis=1, keepdims=True))
 
     def likelihood(self, uv_px: Array) -> Likelihood:
-        """Estimate scale and likelihood of persons from pixels (T, K, 2) of the detected points.
-
-        With a = x' P x, b = x' P m and n degrees of freedom, log p(x | s) = n log s - (s^2 a - 2 s b) / 2
-        + constant has its maximum at the positive root of a s^2 - b s - n = 0.
+        """Estimate scale and likelihood of persons from pixels (T, K, 2) of the detected points. With a = x' P x, b =
+        x' P m and n degrees of freedom, log p(x | s) = n log s - (s^2 a - 2 s b) / 2 + constant has its maximum at the
+        positive root of a s^2 - b s - n = 0.
         """
         x, m = _centred(uv_px), self._mean
         P, n = self._precision, 2 * len(self.seen) - 2
@@ -281,10 +280,8 @@ def _patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
 
 
 def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
-    """Read the distribution that ``models/build_adapters.py`` fitted to a table's points.
-
-    Raises:
-        FileFormatError: no such file, damaged, or fitted to other points.
+    """Read the distribution that ``models/build_adapters.py`` fitted to a table's points; `FileFormatError` where there
+    is no such file, or it is damaged or fitted to other points.
     """
     arrays = read_npz(Path(path))
     lacking = {"mean", "covariance", "noise", "offsets"} - set(arrays)

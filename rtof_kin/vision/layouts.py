@@ -83,23 +83,14 @@ class DetectorTable:
     """Landmark of the skeleton that is no joint -> points that show it, itself included."""
 
     def layout(self, name: str) -> Layout:
-        """Return a layout.
-
-        Raises:
-            UnknownNameError: there is none; the message lists those known.
-        """
+        """Return a layout; `UnknownNameError`, which lists those known, where there is none."""
         if name not in self.layouts:
             raise UnknownNameError("layout of keypoints", [name], list(self.layouts))
         return self.layouts[name]
 
     def nearest(self, names: Sequence[str]) -> tuple[Layout | None, tuple[int | None, ...]]:
-        """Return the layout of which most points are named, and the index of each, None where it is not.
-
-        Args:
-            names: of points; those that a layout lacks are ignored.
-
-        Returns:
-            None and () where no layout has `FEWEST_NAMED` of its points among them.
+        """Return the layout of which most points are named, and the index of each, None where it is not; names that it
+        lacks are ignored. None and () where no layout has `FEWEST_NAMED` of its points among them.
         """
         given = [_canonical(name).lower() for name in names]
 
@@ -120,10 +111,8 @@ def _canonical(name: str) -> str:
 
 
 def is_detector_point(name: str) -> bool:
-    """Return whether a name in a `KeypointSequence` is that of a detector's own point.
-
-    Raises:
-        UnknownNameError: the layout has no such point, or there is no such layout.
+    """Return whether a name in a `KeypointSequence` is that of a detector's own point; `UnknownNameError` where the
+    layout has no such point, or there is no such layout.
     """
     layout, point = layout_and_point(name)
     if layout and point not in (known := detector_table().layout(layout).points):
@@ -165,10 +154,8 @@ def add_layout(layout: Layout) -> None:
 
 
 def detector_table() -> DetectorTable:
-    """Return the shipped table with the layouts that were added.
-
-    Raises:
-        ExtensionError, InvalidInputError, UnknownNameError: that of an installed package cannot be used.
+    """Return the shipped table with the layouts that were added; `ExtensionError`, `InvalidInputError` or
+    `UnknownNameError` where that of an installed package cannot be used.
     """
     return _extended(ADDED.all())
 
@@ -195,11 +182,8 @@ def _shipped_table() -> DetectorTable:
 
 
 def read_detector_table(path: str | Path) -> DetectorTable:
-    """Read and check a table of detectors' layouts.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a duplicate name.
-        UnknownNameError: unknown point, or unknown joint or landmark of the shipped skeleton.
+    """Read and check a table of detectors' layouts. `FileFormatError`: not TOML, a field missing or of the wrong kind,
+    a duplicate name; `UnknownNameError`: unknown point, or unknown joint or landmark of the shipped skeleton.
     """
     path = Path(path)
     data = load_toml(path)

@@ -80,23 +80,14 @@ class ModelSet:
 
 
 def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
-    """Return all sets of models, the preferred first.
-
-    Args:
-        path: .toml file; the shipped one if None.
-
-    Raises:
-        FileFormatError: a field is missing or of the wrong kind.
+    """Return all sets of models of a .toml file, by default the shipped one, the preferred first; `FileFormatError`
+    where a field is missing or of the wrong kind.
     """
     return _read_sets(Path(path) if path is not None else model_path("detector_models.toml"))
 
 
 def model_set(name: str) -> ModelSet:
-    """Return a set of models.
-
-    Raises:
-        UnknownNameError: there is none of this name.
-    """
+    """Return a set of models; a name of none raises `UnknownNameError`."""
     known = {each.name: each for each in model_sets()}
     if name not in known:
         raise UnknownNameError("set of models", [name], list(known))
@@ -123,10 +114,8 @@ def models_folder(wanted: ModelSet) -> Path:
 
 
 def cached_models(wanted: ModelSet) -> Path | None:
-    """Return the folder of a set if all its files are in the cache, after comparing their checksums.
-
-    Raises:
-        FileFormatError: a file is not the published one.
+    """Return the folder of a set if all its files are in the cache, after comparing their checksums; `FileFormatError`
+    where one is not the published one.
     """
     folder = models_folder(wanted)
     if not all((folder / file.name).is_file() for file in wanted.files):
@@ -137,17 +126,9 @@ def cached_models(wanted: ModelSet) -> Path | None:
 
 
 def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
-    """Download the files of a set that are not in the cache yet. Calling it is consent.
-
-    Args:
-        progress: called with ("fetch", megabytes done, megabytes in all).
-
-    Returns:
-        The folder of the files.
-
-    Raises:
-        RtofError: what runs them is not installed, no connection, an interrupted download, another file than
-            the published one, a full disk.
+    """Download the files of a set that are not in the cache yet to the folder that is returned. Calling it is consent.
+    Progress is ("fetch", megabytes done, megabytes in all). `RtofError`: what runs them is not installed, no
+    connection, an interrupted download, another file than the published one, a full disk.
     """
     if wanted.missing:
         raise RtofError(f"{', '.join(wanted.missing)}: not installed, {wanted.title} needs it: {wanted.install}")

@@ -33,15 +33,9 @@ _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 def reject_keypoint_outliers(
     keypoints: KeypointSequence, *, sides: bool = True, person: bool = True
 ) -> tuple[KeypointSequence, tuple[StreamFault, ...]]:
-    """Exchange swapped sides back and set another person's keypoints to NaN.
-
-    The landmarks decide; the detector's own points are treated as they are.
-
-    Args:
-        keypoints: at any times; names of sides begin with ``Left`` and ``Right``, or ``L`` and ``R``.
-
-    Returns:
-        The keypoints, unchanged without faults, and the faults.
+    """Exchange swapped sides back and set another person's keypoints to NaN; return the keypoints, unchanged without
+    faults, and the faults. The landmarks decide; the detector's own points are treated as they are. Names of sides
+    begin with ``Left`` and ``Right``, or ``L`` and ``R``.
     """
     found: list[StreamFault] = []
     landmarks, every = side_pairs(keypoints.landmarks.names), side_pairs(keypoints.names)

@@ -92,11 +92,8 @@ class OnnxDetector:
     """Detector of people and their keypoints; without a person model the image is one person."""
 
     def __init__(self, folder: str | Path):
-        """Load the models of a folder; rtmlib never downloads, as it gets files that exist.
-
-        Raises:
-            FileFormatError: no pose model, several of a kind, or another kind of model.
-            RtofError: the extra ``video`` is not installed.
+        """Load the models of a folder; rtmlib never downloads, as it gets files that exist. `FileFormatError` without
+        pose model, for several of a kind, or another kind; `RtofError` without the extra ``video``.
         """
         pose, people = _find_models(folder)
         rtmlib = optional("rtmlib", "video")
@@ -168,13 +165,8 @@ class MediaPipeDetector:
     points: int = 33
 
     def __init__(self, model: str | Path | None = None, people: int = MOST_PEOPLE):
-        """Load a model.
-
-        Args:
-            model: ``.task`` file; None: the model inside the package.
-
-        Raises:
-            FileFormatError: it cannot be read. RtofError: MediaPipe is not installed, or without a model.
+        """Load a model, by default the ``.task`` file inside the package; `FileFormatError` where it cannot be read,
+        `RtofError` without MediaPipe, or where that has no model.
         """
         self._mediapipe = optional("mediapipe", "mediapipe")
         tasks = optional("mediapipe.tasks.python", "mediapipe")
@@ -197,11 +189,7 @@ class MediaPipeDetector:
         self._stamp_ms, self._started = -1, False
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
-        """Return the people in the next image of a video, the surest first.
-
-        Args:
-            image: (height, width, 3), BGR. time: of the image, s.
-        """
+        """Return the people in the next image (height, width, 3), BGR, of a video, at a time, s, the surest first."""
         self._stamp_ms = max(self._stamp_ms + 1, round(1000 * time))
         rgb = np.ascontiguousarray(image[..., ::-1])
         picture = self._mediapipe.Image(image_format=self._mediapipe.ImageFormat.SRGB, data=rgb)
@@ -279,14 +267,9 @@ class PersonDetector(Protocol):
 
 
 def choose_detector(models: str | Path | None = None) -> PersonDetector:
-    """Return the given detector, else one of downloaded models, else MediaPipe's own. Downloads nothing.
-
-    Args:
-        models: folder of .onnx files, folder with a .task file, or a .task file; None: whatever is at hand.
-
-    Raises:
-        FileFormatError: the given models, or downloaded ones, cannot be used.
-        RtofError: no detector is at hand; the message has the commands that provide one.
+    """Return the given detector (folder of .onnx files or with a .task file, or a .task file), else one of downloaded
+    models, else MediaPipe's own. Downloads nothing. `FileFormatError`: the models cannot be used; `RtofError`: no
+    detector is at hand; the message has the commands that provide one.
     """
     if models is not None:
         return _given(Path(models))

@@ -167,13 +167,8 @@ def track_person(
 def track_people(
     detections: Detections, times: Array, image_px: tuple[float, float] | None = None
 ) -> tuple[tuple[PersonTrack, float], ...]:
-    """Track everyone, each with a weight: the sum over frames of size times confidence, less off the centre.
-
-    Args:
-        times: (T,) s. image_px: as for `track_person`.
-
-    Returns:
-        The most prominent person first.
+    """Track everyone, the most prominent first, at times (T,), s, each with a weight: the sum over frames of size times
+    confidence, less off the centre of the image, as for `track_person`.
     """
     measures = _Measures(detections)
     left = _trails(measures, times)
@@ -292,11 +287,7 @@ class PersonFollower:
         """Number of frames in which another person fitted nearly as well."""
 
     def follow(self, people: Sequence[Person], time: float) -> int | None:
-        """Return the index of the person among those of the next frame; None where that one is not seen.
-
-        Args:
-            time: of the frame, s, later than that of the last one.
-        """
+        """Return the index of the person among those of the next frame, at a later time, s; None where not seen."""
         self._trails = [trail for trail in self._trails if time - trail.seen_at <= _LONGEST_GAP]
         if self._chosen not in self._trails:
             self._chosen = None

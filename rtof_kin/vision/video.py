@@ -175,13 +175,8 @@ def _name(source: str | Path | int) -> str | Path:
 
 
 def write_detections(path: str | Path, detections: Detections, overwrite: bool = False) -> None:
-    """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads.
-
-    Args:
-        overwrite: whether to replace an existing file.
-
-    Raises:
-        OutputExistsError: the file exists. RtofError: it cannot be written.
+    """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads; errors as
+    `core.files.folder.new_file`.
     """
     arrays: dict[str, NDArray[Any]] = {"uv_px": detections.uv_px, "confidence": detections.confidence}
     if detections.times is not None:

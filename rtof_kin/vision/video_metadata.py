@@ -44,11 +44,8 @@ _MOST_PIXELS = 64e6  # of one image: 8K has 33 million
 
 @contextmanager
 def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
-    """Yield the container and the first video stream of a file; errors of PyAV become `FileFormatError`.
-
-    Raises:
-        FileFormatError: no such file, not a video, or with images larger than any camera's.
-        RtofError: the extra is not installed.
+    """Yield the container and the first video stream of a file; errors of PyAV become `FileFormatError`, as do no such
+    file, not a video, or images larger than any camera's; `RtofError`: the extra is not installed.
     """
     av = optional("av", "video")
     path = Path(path)
@@ -138,12 +135,7 @@ class VideoMetadata:
 
 
 def read_video_metadata(path: str | Path) -> VideoMetadata:
-    """Read the metadata of a video; decodes one image.
-
-    Raises:
-        FileFormatError: no such file, or not a readable video.
-        RtofError: the extra ``video`` is not installed.
-    """
+    """Read the metadata of a video; decodes one image. Errors as `open_video`."""
     with open_video(path) as (container, stream):
         frame = next(container.decode(stream), None)
         if frame is None:
@@ -284,13 +276,8 @@ class Phone(NamedTuple):
 
 
 def lens_prior(width_px: int, height_px: int, metadata: VideoMetadata | None = None) -> LensPrior:
-    """Return what can be assumed of the lens of an uncalibrated camera.
-
-    Args:
-        metadata: of the video; None where there is none.
-
-    Raises:
-        InvalidInputError: a size is not positive.
+    """Return what can be assumed of the lens of an uncalibrated camera, by the video's metadata where there is some;
+    `InvalidInputError` where a size is not positive.
     """
     if min(width_px, height_px) <= 0:
         raise InvalidInputError(f"image of {width_px} x {height_px} px: both have to be positive")
@@ -331,10 +318,8 @@ def _lens(metadata: VideoMetadata | None) -> tuple[float, float, float, float, s
 
 
 def find_phone(make: str | None, model: str | None) -> Phone | None:
-    """Return the entry of a phone or tablet in the shipped table, None if it has none.
-
-    Args:
-        make, model: names of maker and model as in files; case does not matter.
+    """Return the entry of a phone or tablet, by maker and model as in files, case aside, in the shipped table; or
+    None.
     """
     wanted, maker = (model or "").strip().lower(), (make or "").strip().lower()
     for phone in phone_table():
@@ -351,10 +336,8 @@ def phone_table() -> tuple[Phone, ...]:
 
 
 def read_phone_table(path: str | Path) -> tuple[Phone, ...]:
-    """Read a table of phones.
-
-    Raises:
-        FileFormatError: not TOML, a field missing or of the wrong kind, a focal length beyond any phone's.
+    """Read a table of phones; `FileFormatError` where it is not TOML, or a field is missing, of the wrong kind, or a
+    focal length beyond any phone's.
     """
     data = load_toml(Path(path))
     try:

@@ -9,18 +9,9 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from browser_support import WIDTHS, BrowserPage, needs_browser
 
 from rtof_kin.batch import rows as module
 from rtof_kin.batch.rows import Row, RowFile, read_rows
-
-
-def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
-    rows = RowFile(tmp_path / "a.jsonl", 1, {})
-    kept = [Row("s/ü \u2028", "warn", '"quoted"\nline', frames=3, seconds=1.5), Row("b", error="x")]
-    for row in kept:
-        rows.add(row)
-    assert read_rows([rows.path]) == {row.recording: (1, row) for row in kept}
 
 
 @pytest.mark.parametrize(
@@ -89,26 +80,3 @@ def test_very_many_rows_have_pages_and_old_pages_go(tmp_path: Path, monkeypatch:
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
     module.write_index(tmp_path, [], 5, "takes")
     assert "0 of 5" in (tmp_path / "index.html").read_text(encoding="utf-8")
-
-
-@needs_browser
-def test_ten_thousand_rows_fit_every_width(tmp_path: Path) -> None:
-    many = [Row(f"s{k}/take-{k}-{'x' * 30}", "warn", "why " * 30, frames=9, report="r") for k in range(9990)]
-    module.write_index(tmp_path, [*ROWS, *many], 9995, "takes-" * 20)
-    with BrowserPage(tmp_path / "browser", 1280, 900) as page:
-        page.open((tmp_path / "index.html").as_uri())
-        for width in WIDTHS:
-            page.resize(width, 900)
-            found = page.value(
-                "[document.documentElement.scrollWidth - innerWidth, document.querySelectorAll('tbody tr').length]"
-            )
-            assert found[0] <= 0
-            assert found[1] == 9995
-        assert page.errors == []
-        page.open("about:blank")
-        module.write_index(tmp_path, ROWS, 5, "takes")
-        page.open((tmp_path / "index.html").as_uri())
-        for width in WIDTHS:
-            page.resize(width, 900)
-            page.picture(tmp_path / f"{width}.png")
-            assert page.layout_faults() == []

@@ -22,10 +22,10 @@ from batch_support import batch_of, calls, facts, obey, write_recordings
 
 from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Row
-from rtof_kin.batch.run import Batch, Tables, check_chain, claim, run_batch
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, WritingError
+from rtof_kin.batch.run import Batch, check_chain, claim, run_batch
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.files.folder import temporary_folder
-from rtof_kin.core.jobs import Engine, InThisProcess, Processes
+from rtof_kin.core.jobs import Engine, InThisProcess
 
 VERDICTS = {"e": "error", "s1/a": "pass", "s1/b": "warn", "s2/c": "fail", "s2/d": "error"}
 DRIVER = """
@@ -178,29 +178,6 @@ def test_another_source_is_not_mixed_with_the_first(root: Path, out: Path, log: 
     assert list(table(out)) == ["s1/a"]
 
 
-def test_table_and_index_are_renewed_while_it_runs_but_not_for_every_row(
-    root: Path, out: Path, log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written: list[int] = []
-    plain = Tables.write
-
-    def write(self: Tables) -> None:
-        plain(self)
-        written.append(len(table(out)))
-
-    monkeypatch.setattr(Tables, "write", write)
-    run(batch_of(root, out))
-    assert written == [0, 5]
-    written.clear()
-    write_recordings(root, f="pass", g="pass")
-    monkeypatch.setattr(Tables, "PAUSE", 0.0)
-    monkeypatch.setattr(Tables, "SHARE", 1e9)
-    run(batch_of(root, out))
-    assert written == [5, 5, 6, 7, 7, 7, 7, 7, 7]  # new ones and those that failed come first
-    page = (out / "index.html").read_text(encoding="utf-8")
-    assert page.index(">error<") < page.index(">fail<") < page.index(">warn<") < page.index(">pass<")
-
-
 # --- files of the user ---------------------------------------------------------------------------
 
 
@@ -231,15 +208,6 @@ def test_an_output_that_the_user_changed_is_not_replaced(root: Path, out: Path, 
 
 
 # --- faults --------------------------------------------------------------------------------------
-
-
-def test_a_killed_worker_costs_its_own_recording_at_most(root: Path, out: Path, log: Path) -> None:
-    write_recordings(root, f="pass dies once", g="die")
-    rows = {row.recording: row for row in run(batch_of(root, out), Processes(2))}
-    assert facts(list(rows.values())) == VERDICTS | {"f": "pass", "g": "error"}
-    assert "its process was killed (signal 9)" in rows["g"].error
-    assert table(out)["g"]["error"] == rows["g"].error
-    assert calls(log)["g reconstruct"] == 2
 
 
 def test_a_killed_driver_is_resumed_and_its_table_is_that_of_an_undisturbed_run(
@@ -319,20 +287,6 @@ def test_a_full_disk_is_an_error_in_the_table_and_leaves_nothing_half(root: Path
     assert calls(log)["a reconstruct"] == 1
 
 
-def test_a_driver_on_a_full_disk_stops_with_one_error_and_goes_on_later(root: Path, out: Path, log: Path) -> None:
-    run(batch_of(write_recordings(root.parent / "one", a="pass"), out))
-    file = out / ".batch/shard-1-of-1.jsonl"
-    before, kept = table(out), file.read_bytes()
-    many = write_recordings(root.parent / "one", **{f"b{k}": "pass" for k in range(9)})
-    with full_disk(len(kept) + 500), pytest.raises(WritingError, match="cannot be written .*File too large"):
-        run(batch_of(many, out))
-    assert file.read_bytes().startswith(kept)
-    assert file.read_bytes().endswith(b"\n")
-    assert table(out).keys() >= before.keys()
-    assert set(facts(run(batch_of(many, out))).values()) == {"pass"}
-    assert calls(log)["b0 reconstruct"] == 1
-
-
 def test_two_drivers_do_not_share_a_folder(root: Path, out: Path, log: Path) -> None:
     with claim(out, root, Shard(), False):
         with pytest.raises(OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"):
@@ -359,24 +313,6 @@ def test_shards_share_a_folder_and_one_table(root: Path, out: Path, log: Path) -
     before = calls(log)
     assert len(run(batch_of(root, out))) == 13  # as a whole, with what the shards did
     assert calls(log) - before == {"e reconstruct": 1, "s2/d reconstruct": 1}
-
-
-def test_clocks_that_are_set_back_change_nothing(
-    root: Path, out: Path, log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run(batch_of(root, out))
-    before = calls(log)
-    now = time.time()
-    monkeypatch.setattr(time, "time", lambda: now - 400 * 86400)
-    for k, path in enumerate(sorted([*root.rglob("*"), *out.rglob("*")])):
-        os.utime(path, (now, now + (-1) ** k * 1000 * 86400))  # half of them in the future
-    assert facts(run(batch_of(root, out))) == VERDICTS
-    assert calls(log) - before == {"e reconstruct": 1, "s2/d reconstruct": 1}
-    (root / "s1/a/recording.toml").write_text("warn")
-    os.utime(root / "s1/a/recording.toml", (now - 10**9, now - 10**9))
-    assert facts(run(batch_of(root, out)))["s1/a"] == "warn"
-    assert table(out)["s1/a"]["verdict"] == "warn"
-    assert all(0 <= float(row["seconds"]) < 60 for row in table(out).values())
 
 
 def test_a_worker_that_sees_another_folder_says_so(root: Path, out: Path, log: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.recording.recording import Recording
 
 

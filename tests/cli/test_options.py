@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from dataclasses import dataclass
 from html import unescape
@@ -197,3 +198,10 @@ def test_help_is_that_of_the_docstring(cli: Any) -> None:
             assert done.code == 0
             assert f"Usage: rtof-kin {name}" in done.out
             assert len(done.out) > 300, name
+
+
+def test_help_of_commands_is_printed_without_the_solver() -> None:
+    code = "import sys; from rtof_kin.cli import main\n"
+    code += "for name in ('run', 'reconstruct', 'report', 'live'): assert main([name, '--help']) == 0\n"
+    code += "assert not {'casadi', 'pinocchio', 'scipy'} & {*sys.modules}"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

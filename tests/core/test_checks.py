@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.checks import checked_times, indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 
 
 def test_readonly_copies_and_locks() -> None:
@@ -54,13 +54,3 @@ def test_unknown_name_is_reported_with_valid_names_and_the_nearest_one() -> None
     with pytest.raises(UnknownNameError) as caught:
         indices_of("joint", ["Hips", "Hedd", "tail"], ("Hips", "Head"))
     assert str(caught.value) == "unknown joint 'Hedd', 'tail'. Did you mean 'Head'? Known: Hips, Head"
-
-
-def test_errors_derive_from_the_package_and_from_python() -> None:
-    assert issubclass(ShapeError, InvalidInputError)
-    assert issubclass(InvalidInputError, RtofError)
-    assert issubclass(InvalidInputError, ValueError)
-    assert issubclass(UnknownNameError, KeyError)
-    error = FileFormatError("a.csv", "seven columns", line=12)
-    assert str(error) == "a.csv, line 12: seven columns"
-    assert (error.path.name, error.line) == ("a.csv", 12)

@@ -68,13 +68,3 @@ def test_three_threads_give_the_results_of_one(kind: str) -> None:
     with ThreadPoolExecutor(3) as pool:
         for found, alone in zip(pool.map(lambda i: solve(kind, i), range(3)), expected, strict=True):
             np.testing.assert_array_equal(found, alone)
-
-
-@pytest.mark.parametrize("kind", ["joint", "cartesian"])
-def test_solver_may_be_shared_by_threads(kind: str) -> None:
-    solver = FragmentSolver(BODY, N, SETTINGS[kind])
-    expected = one_after_the_other(kind)
-    numbers = [0, 2, 0, 2]  # of the same body
-    with ThreadPoolExecutor(4) as pool:
-        for i, found in zip(numbers, pool.map(lambda i: solve(kind, i, solver), numbers), strict=True):
-            np.testing.assert_array_equal(found, expected[i])

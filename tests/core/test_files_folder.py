@@ -300,18 +300,6 @@ def test_file_appears_complete_and_of_this_user_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["page"]
 
 
-@pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), OSError(28, "No space left")])
-def test_failure_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
-    (tmp_path / "page").write_text("old")
-    with (
-        pytest.raises(RtofError if isinstance(error, OSError) else type(error)),
-        new_file(tmp_path / "page", overwrite=True) as file,
-    ):
-        file.write_text("half")
-        raise error
-    assert tree(tmp_path) == {"page": "old"}
-
-
 @pytest.mark.parametrize("links", [True, False])
 def test_file_that_appeared_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
     if not links:

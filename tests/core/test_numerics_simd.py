@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics import c_compiler as module
 from rtof_kin.core.numerics import simd
 from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
@@ -140,36 +139,6 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
 
 def zeros(rows: int, frames: int = 9) -> Array:
     return Columns(frames).at(Columns(frames).zeros(rows))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"x": zeros(3)}, r"input 0: \(3, 24\) where \(4, 16\)"),
-        ({"frames": 25}, r"input 0: \(4, 24\) where \(4, 32\) is expected"),
-        ({"s": np.zeros(1)}, r"input 1: \(1,\) where \(2,\) is expected"),
-        ({"out": [zeros(29, 40), zeros(4)]}, "output 0: give columns of double precision, of one width"),
-        ({"x": zeros(4).astype(np.float32)}, "input 0: give columns of double precision"),
-        ({"out": [zeros(29)]}, "everything: give 2 inputs and 2 outputs"),
-    ],
-)
-def test_arrays_of_wrong_shape_or_layout_are_refused(change: dict[str, Any], message: str) -> None:
-    given = everything()
-    right = {"x": zeros(4), "s": np.zeros(2), "out": [zeros(29), zeros(4)], "frames": 9}
-    x, s, out, frames = (right | change).values()
-    with pytest.raises(ShapeError, match=message):
-        Over(code_of(given)["everything"], given, frames, [x, s], out)
-
-
-def test_places_outside_the_rows_are_refused() -> None:
-    x = ca.SX.sym("x", 1)
-    given = FrameFunction(ca.Function("put", [x], [ca.repmat(x, GROUP, 1)]), placed=True)
-    code, here = code_of(given)["put"], [zeros(1, 4)]
-    with pytest.raises(ShapeError, match="put output 0: give a place for each group of 8 of 8"):
-        Over(code, given, 4, here, [np.zeros((4, 20))])
-    for rows, place in [(4, 13), (3, 0), (4, -1)]:
-        with pytest.raises(ShapeError, match=rf"put output 0: \({rows}, 20\) for 4 rows of"):
-            Over(code, given, 4, here, [np.zeros((rows, 20))], np.array([place]))
 
 
 def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

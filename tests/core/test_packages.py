@@ -12,15 +12,12 @@ import pytest
 
 from rtof_kin.core.errors import ExtensionError, InvalidInputError, MissingPackageError, UnknownNameError
 from rtof_kin.core.packages import Extensions, can_draw, install, optional
+from rtof_kin.formats.sensors import files
 from rtof_kin.vision import layouts
 from rtof_kin.vision.landmark_regression import LandmarkRegression
 from rtof_kin.vision.layouts import Layout, add_layout, detector_table
 
 ROOT = Path(__file__).parents[2]
-
-
-def test_a_package_that_is_there_is_imported() -> None:
-    assert optional("numpy.linalg", "lift") is sys.modules["numpy.linalg"]
 
 
 def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,3 +116,9 @@ def test_wrong_layouts_are_named_and_not_added(monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(error, match=message):
             add_layout(wrong)
     assert "own" not in detector_table().layouts
+
+
+def test_names_of_built_in_formats_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files.ADDED, "_added", {})
+    with pytest.raises(InvalidInputError, match="'plain CSV' is the name of one that is built in"):
+        files.add_format(files.FORMATS[-1])

@@ -92,11 +92,6 @@ def test_an_uncertainty_is_a_standard_deviation(name: str, value: float) -> None
         CameraUncertainty(**{name: value})
 
 
-def test_copies_of_a_camera_keep_its_uncertainty() -> None:
-    camera = pinhole(uncertainty=CameraUncertainty(focal=0.1), distortion=np.array([0.1, 0, 0, 0, 0]))
-    assert camera.undistorted().uncertainty == camera.uncertainty
-
-
 def test_a_camera_is_carried_along_with_another_ones_correction() -> None:
     first = Camera.looking_at([4.0, 0.6, 1.5], [0.0, 0.0, 1.0], 1250.0)
     second = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], 900.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import InvalidInputError, ShapeError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.keypoints import KeypointSequence
@@ -101,13 +101,3 @@ def test_angles_are_from_the_mean_orientation() -> None:
 def test_nonsense_is_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         replace(turning(), **changes)  # type: ignore[arg-type]
-
-
-def test_wrong_shape_other_times_and_a_second_time_are_refused() -> None:
-    motion = turning()
-    with pytest.raises(ShapeError, match="R_first_camera"):
-        CameraMotion(TIMES, motion.R_first_camera[:-1])
-    with pytest.raises(InvalidInputError, match="put it on their clock"):
-        stabilised(filmed(motion), motion.shifted(100.0))
-    with pytest.raises(InvalidInputError, match="stabilised already"):
-        stabilised(stabilised(filmed(motion), motion), motion)

@@ -15,7 +15,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
 T, S, J, L = 6, 2, 3, 4
@@ -159,24 +159,6 @@ def test_selection_follows_the_names() -> None:
     np.testing.assert_array_equal(chosen.a_world[:, 0], bones.a_world[:, 1])
     with pytest.raises(UnknownNameError, match=r"unknown IMU segment 'Spine4'\. Did you mean"):
         bones.select(["Spine4"])
-
-
-def test_defaults_of_poses_claim_no_observation_and_a_missing_position_is_invalid() -> None:
-    base = poses()
-    p = with_value(base.p_world_joint, (1, 2, 0), np.nan)
-    out = PoseSequence(base.times, p, base.R_world_bone, base.names)
-    assert out.valid.sum() == T * J - 1
-    assert not replace(out, valid=np.ones((T, J))).valid[1, 2]
-    assert (out.provenance == Provenance.NOBODY).all()
-    assert not out.orientation_observed.any()
-    assert np.isnan(out.sigma_rad).all()
-    one_row = poses(orientation_observed=np.array([True, False, True]))
-    np.testing.assert_array_equal(one_row.orientation_observed, [[True, False, True]] * T)
-
-
-def test_frame_rate_follows_the_median_step() -> None:
-    assert poses(times=np.array([0, 0.02, 0.04, 0.5, 0.52, 0.54])).rate_hz == pytest.approx(50)
-    assert poses()[:1].rate_hz == 60
 
 
 def test_keypoints_are_resampled_but_not_over_missing_frames() -> None:

@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
-from rtof_kin.datasets.human36m_files import JOINTS_OF_32, read_cameras
+from rtof_kin.datasets.human36m_files import read_cameras
 
 SKELETON = SkeletonModel.human36m()
 TWO = ("S9", "S11")
@@ -56,27 +56,6 @@ def own(template: tuple[Path, files.Positions], tmp_path: Path) -> tuple[Path, f
     """A folder of two subjects that a test may spoil."""
     shutil.copytree(template[0], tmp_path, dirs_exist_ok=True)
     return tmp_path, copy.deepcopy(template[1])
-
-
-# --- positions -----------------------------------------------------------------------------------
-
-
-def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positions) -> None:
-    data = Human36M(root)
-    assert data.sequences == tuple((s, a) for s in TWO for a in ("Action 0", "Action 1"))  # S9 before S11
-    motion = data.motion("S9", "Action 1")
-    np.testing.assert_array_equal(motion.p_world_joint, truth["S9"]["Action 1"])
-    assert (motion.subject, motion.action, motion.rate_hz) == ("S9", "Action 1", 50.0)
-    assert motion.p_world_joint.dtype == np.float64
-
-
-def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> None:
-    names = "Hip RHip RKnee RFoot RFootEnd RToes LHip LKnee LFoot LFootEnd LToes Root2 Spine Thorax Neck Head LClavicle"
-    names += " LShoulder LElbow LWrist LThumb LThumb2 LHand LHand2 RClavicle RShoulder RElbow RWrist RThumb RThumb2"
-    names_of_32 = f"{names} RHand RHand2".split()
-    assert tuple(names_of_32[i] for i in JOINTS_OF_32) == SKELETON.names
-    unused = {4, 5, 9, 10, 11, 16, 20, 21, 22, 23, 24, 28, 29, 30, 31}
-    assert sorted({*JOINTS_OF_32, *unused}) == list(range(32))
 
 
 # --- recordings ----------------------------------------------------------------------------------
@@ -263,17 +242,6 @@ def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions
     with pytest.raises(CalibrationError, match=message):
         Human36M(root).recording("S9", "Action 0", 1)
     Human36M(root).recording("S11", "Action 0", 1)
-
-
-@pytest.mark.parametrize("change", [lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv]])
-def test_keypoints_of_other_cameras(own: tuple[Path, files.Positions], change: Callable[[Any], Any]) -> None:
-    root, positions = own
-    entries = files.keypoints(positions)
-    changed = {s: {a: change(uv) for a, uv in actions.items()} for s, actions in entries.items()}
-    for kind, limit in (("gt", 3), ("cpn_ft_h36m_dbb", 30)):
-        files.write_keypoints(root, changed, kind)
-        with pytest.raises(CalibrationError, match=rf"camera 0: the truth projects .*more than {limit}: "):
-            Human36M(root, keypoints=kind).recording("S9", "Action 0", 0)
 
 
 def test_a_misplaced_truth_is_kept_with_a_note(own: tuple[Path, files.Positions]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -71,26 +70,6 @@ def test_ambiguous_paths_are_not_assigned(path: str, tmp_path: Path) -> None:
     index = find_files(tmp_path)
     assert list(index.files) == [("S5", "walking2")]
     assert index.unassigned == [tmp_path / path]
-
-
-def test_the_folder_or_a_link_may_name_the_subject(tmp_path: Path) -> None:
-    put(tmp_path, f"data/S4/acting3/{POSITIONS}", f"store/42/acting3/{POSITIONS}")
-    assert list(find_files(tmp_path / "data" / "S4").files) == [("S4", "acting3")]
-    os.symlink(tmp_path / "data" / "S4", tmp_path / "other", target_is_directory=True)
-    assert list(find_files(tmp_path / "other").files) == [("S4", "acting3")]
-    os.symlink(tmp_path / "store" / "42", tmp_path / "S2", target_is_directory=True)
-    index = find_files(tmp_path)
-    assert sorted(index.files) == [("S2", "acting3"), ("S4", "acting3")]
-    assert not index.unassigned  # each is found by its other name
-
-
-def test_a_broken_link_is_reported_and_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    put(tmp_path, f"S5/acting3/{POSITIONS}")
-    broken = tmp_path / "S5" / "acting3" / f"s5_acting3_{POSITIONS}"
-    os.symlink(tmp_path / "gone", broken)
-    index = find_files(tmp_path)
-    assert f"{broken}: cannot be read; not used" in caplog.text
-    assert index.one(("S5", "acting3"), "positions") == tmp_path / "S5" / "acting3" / POSITIONS
 
 
 def test_equal_files_are_allowed_and_different_ones_refused(tmp_path: Path) -> None:
@@ -169,18 +148,6 @@ def test_every_name_is_found_at_any_depth_in_any_case(name: str, tmp_path: Path,
     np.testing.assert_array_equal(found.confidence, values()[1])
 
 
-def test_times_are_those_of_the_video_or_of_the_file(tmp_path: Path, camera: Camera, read: Any) -> None:
-    path = write(tmp_path / "S5_acting3_cam1.npz")
-    found = read()
-    np.testing.assert_allclose(found.times, np.arange(T) / 60)
-    np.testing.assert_allclose(read(rate_hz=50.0).times, np.arange(T) / 50)
-    assert found.camera is camera
-    assert found.names == NAMES
-    times = np.arange(T) / 30 + 0.5
-    write(path, times=times)
-    np.testing.assert_array_equal(read().times, times)
-
-
 def test_a_csv_has_the_columns_of_a_recording(tmp_path: Path, read: Any) -> None:
     text = "Nose_u_px,Nose_v_px,Hips_u_px,Hips_v_px,Hips_confidence\n10,20,30,40,0.5\n11,21,,,\n"
     (tmp_path / "TC_S5_acting3_cam1.csv").write_text(text)
@@ -205,19 +172,6 @@ def test_landmarks_are_named_by_a_file_or_by_the_skeleton(tmp_path: Path, read: 
     found = read()
     assert found.names == ("Nose", "LeftHand", "RightFoot")
     np.testing.assert_array_equal(found.uv_px, uv)
-
-
-def test_unseen_points_have_no_value_or_no_confidence(tmp_path: Path, read: Any) -> None:
-    uv, confidence = values()
-    uv[2, 3, 0] = np.nan
-    confidence[4, 5] = 0.0
-    path = write(tmp_path / "S5_acting3_cam1.npz", uv_px=uv, confidence=confidence)
-    unseen = {(2, 3), (4, 5)}
-    assert set(map(tuple, np.argwhere(~read().seen).tolist())) == unseen
-    write(path, uv_px=uv, confidence=None)
-    found = read()
-    assert set(map(tuple, np.argwhere(~found.seen).tolist())) == {(2, 3)}
-    assert set(np.unique(found.confidence)) == {0.0, 1.0}
 
 
 def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Camera, read: Any) -> None:

@@ -224,21 +224,16 @@ def test_a_pose2sim_export_has_its_world_again(tmp_path: Path) -> None:
     assert camera.center_world[2] == pytest.approx(CAMERA.center_world[2])
 
 
-def test_a_recording_names_it_as_its_camera(tmp_path: Path) -> None:
-    write(tmp_path / "Cam0", content(BOARDS["-y"]))
-    points = np.random.default_rng(1).uniform(-0.5, 0.5, (4, 2, 3))
-    uv = CAMERA.project(points + np.array([0, 0, 1]))
-    np.savez(tmp_path / "keypoints.npz", uv_px=uv)
-    (tmp_path / "recording.toml").write_text(
-        'schema_version = 1\n[camera]\nfile = "Cam0/cameraIntrinsicsExtrinsics.pickle"\n'
-        '[keypoints]\nfile = "keypoints.npz"\nrate_hz = 30\nlandmarks = ["Hips", "Head"]\n'
-    )
-    camera = Recording.load(tmp_path).video.camera
-    np.testing.assert_allclose(camera.center_world[2], CAMERA.center_world[2])
-
-
 def test_a_board_between_two_axes_needs_to_be_told(tmp_path: Path) -> None:
     path = write(tmp_path / "Cam0", content(Rotation.from_euler("xy", [45, 30], degrees=True)))
     with pytest.raises(FileFormatError, match="no axis of the checkerboard is upright.*up = '-y'"):
         read_opencap(path)
     assert read_opencap(path, up="z")["Cam0"].width_px == CAMERA.width_px
+
+
+def test_two_cameras_with_their_own_poses_are_no_stereo_pair(tmp_path: Path) -> None:
+    both = {"K1": K, "R1": R, "T1": TVEC, "K2": K, "R2": R.T, "T2": TVEC}
+    path = stored(tmp_path / "two.yml", {"image_width": 640, "image_height": 480, **both})
+    first, second = read_opencv_yaml(path).values()
+    np.testing.assert_allclose(first.R_camera_world, R, atol=1e-12)
+    np.testing.assert_allclose(second.R_camera_world, R.T, atol=1e-12)

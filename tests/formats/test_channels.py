@@ -89,17 +89,6 @@ def test_acceleration_without_gravity(label: str, axes: str) -> None:
     assert listed(both.sensors[0].acceleration) == [7, 8, 9]
 
 
-def test_quantity_from_the_type_of_a_channel() -> None:
-    channels = StreamChannels.of("s", [*"wxyz", *"XYZ"], types=["Orientation"] * 4 + ["ACC"] * 3)
-    assert listed(channels.sensors[0].acceleration) == [4, 5, 6]
-
-
-def test_other_channels_are_left_out_and_said() -> None:
-    channels = StreamChannels.of("s", ["counter", "qw", "qx", "qy", "qz", "battery"])
-    assert channels.count == 6
-    assert "counter, battery" in channels.notes[0]
-
-
 @pytest.mark.parametrize(
     ("labels", "units", "named"),
     [

@@ -67,3 +67,19 @@ def test_radians_and_unknown_names_are_refused(tmp_path: Path) -> None:
         read_gait_reference_table(path, people=3, **ABOUT)
     with pytest.raises(UnknownNameError, match="hip_rotation"):
         read_gait_reference_table(path, negated=["hip_rotatoin"], people=3, **ABOUT)
+
+
+@pytest.mark.parametrize(
+    "change, named",
+    [
+        (lambda t: t.replace("variable,", "name,", 1), "variable"),
+        (lambda t: t.replace(",2.5", ",x", 1), "sd"),
+        (lambda t: t.replace(",2.5", "", 1), "cells"),
+        (lambda t: t + "pelvic_tilt,0,nan,1\n", "finite"),
+    ],
+)
+def test_a_damaged_table_is_refused(tmp_path: Path, change: Any, named: str) -> None:
+    path = table(tmp_path / "normal.csv")
+    path.write_text(change(path.read_text()))
+    with pytest.raises(FileFormatError, match=named):
+        read_gait_reference_table(path, people=3, **ABOUT)

@@ -67,19 +67,6 @@ def test_written_table_is_read_back(table: Path, motion: Motion) -> None:
     assert (numbers[:, 1 + BODY.nq :] == 1).all()
 
 
-def test_sidecar_has_unit_names_and_limits_of_every_column(table: Path) -> None:
-    sidecar = json.loads(table.with_suffix(".json").read_text())
-    names, _ = read_joint_trajectory_csv(table)
-    units = sidecar["units"]
-    assert tuple(units) == names
-    assert (units["time"], units["base_z"], units["base_qw"]) == ("s", "m", "1")
-    assert {units[name] for name in BODY.dof_names} == {"rad"}
-    assert (sidecar["file"], sidecar["urdf"]) == ("walk.csv", "skeleton.urdf")
-    assert tuple(sidecar["names"]) == tuple(sidecar["limits"]) == BODY.dof_names
-    assert sidecar["names"]["LeftLeg_y"] == {"clinical": "left knee flexion", "opensim": "knee_angle_l"}
-    assert all(low < high for low, high in sidecar["limits"].values())
-
-
 def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[4] = np.nan

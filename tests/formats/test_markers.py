@@ -95,22 +95,6 @@ def test_trc_is_read_by_its_header(tmp_path: Path) -> None:
     assert np.isnan(markers.p_world[1, 0]).all()
 
 
-def test_trc_gap_is_empty_cells_with_all_their_tabs(markers: MarkerSequence, tmp_path: Path) -> None:
-    write_trc(tmp_path / "out.trc", markers)
-    lines = (tmp_path / "out.trc").read_text().splitlines()
-    assert {line.count("\t") for line in lines[3:]} == {2 + 3 * 3}  # a tab ends the line, as OpenSim's
-    assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
-
-
-def test_trc_in_opensims_ground_has_z_on_the_right(markers: MarkerSequence, tmp_path: Path) -> None:
-    path = tmp_path / "out.trc"
-    write_trc(path, markers, up="opensim")
-    assert_same(read_trc(path, up="opensim"), markers, 1e-9)
-    x, y, z = markers.p_world[0, 0]
-    first = path.read_text().splitlines()[5].split("\t")[2:5]
-    np.testing.assert_allclose([float(cell) for cell in first], [x, z, -y], atol=1e-9)
-
-
 def test_real_triangulated_markers_project_onto_their_detections(tmp_path: Path) -> None:
     camera = read_camera_toml(DATA / "markers" / "cam_01.toml")["cam_01"]
     seen = read_detector_file(DATA / "detectors" / "two_people", 1088, 1920).uv_px[:, 0]

@@ -199,3 +199,9 @@ def test_other_cameras_are_refused(walk, tmp_path):
                 writer.append(part_of(given, first))
                 writer.append(second_part)
     assert not list(tmp_path.iterdir())
+
+
+def test_nothing_measured_is_read_back(tmp_path):
+    write_measurements(tmp_path / "m.h5", Measurements(np.array([0.0, 0.1])))
+    found = read_measurements(tmp_path / "m.h5")
+    assert (found.views, found.sensors, found.truth, found.faults) == ((), (), None, ())

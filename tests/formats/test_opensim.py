@@ -20,7 +20,6 @@ from rtof_kin.formats.opensim import (
     coordinate_values,
     coordinates,
     read_opensim_table,
-    to_osim,
     write_mot,
     write_osim,
     write_sto,
@@ -77,13 +76,6 @@ def test_opensim_reproduces_the_motion_of_either_skeleton(body: SkeletonModel, t
     np.testing.assert_allclose(found["motion.mot/markers"], p @ R_GROUND_WORLD.T, atol=1e-9)
 
 
-def test_file_states_axes_zero_and_standard_gravity(skeleton: SkeletonModel) -> None:
-    text = to_osim(skeleton)
-    assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
-    assert "<gravity>0.0 -9.80665 0.0</gravity>" in text
-    assert "nan" not in text.lower()
-
-
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
     """Coordinates of a configuration, by default the T-pose with some revolutes turned, rad."""
     q = skeleton.t_pose() if q is None else q
@@ -99,21 +91,6 @@ def moving(skeleton: SkeletonModel, q: np.ndarray) -> Motion:
     return Motion(skeleton, q, poses, skeleton.check(q))
 
 
-def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None:
-    found = coordinates(any_skeleton.table)
-    assert len({c.name for c in found}) == len(found) == any_skeleton.nv
-    assert [c.name for c in found[:6]] == [
-        "pelvis_tilt",
-        "pelvis_list",
-        "pelvis_rotation",
-        "pelvis_tx",
-        "pelvis_ty",
-        "pelvis_tz",
-    ]
-    assert {c.joint for c in found} == set(any_skeleton.names)
-    assert all(c.range[0] < 0 < c.range[1] for c in found)
-
-
 def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
     assert values_of(skeleton, RightUpLeg_y=-0.5)["hip_flexion_r"] == 0.5
     assert values_of(skeleton, LeftUpLeg_x=-0.2)["hip_adduction_l"] == 0.2
@@ -121,12 +98,6 @@ def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
     assert values_of(skeleton, LeftForeArm_z=-1.3)["elbow_flex_l"] == 1.3
     assert values_of(skeleton, Spine_y=0.3)["lumbar_extension"] == -0.3
     assert values_of(skeleton, RightArm_x=0.4)["RightArm_x"] == 0.4  # OpenSim has no such angle
-
-
-def test_range_is_reversed_with_the_sign(skeleton: SkeletonModel) -> None:
-    found = {c.name: c for c in coordinates(skeleton.table)}
-    np.testing.assert_allclose(np.degrees(found["hip_flexion_r"].range), [-60, 140])
-    np.testing.assert_allclose(np.degrees(found["knee_angle_r"].range), [-10, 165])
 
 
 def test_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonModel) -> None:
@@ -174,23 +145,6 @@ def test_mot_has_degrees_metres_and_the_announced_counts(motion: Motion, tmp_pat
     knee = motion.q[:, 7 + motion.skeleton.dof_names.index("RightLeg_y")]
     np.testing.assert_allclose(table[:, names.index("knee_angle_r")], np.degrees(knee), rtol=1e-14)
     np.testing.assert_array_equal(table[:, names.index("pelvis_ty")], motion.q[:, 2])
-
-
-def test_sto_has_radians_speeds_and_state_paths(motion: Motion, tmp_path: Path) -> None:
-    write_sto(tmp_path / "walk.sto", motion)
-    header, names, table = read(tmp_path / "walk.sto")
-    assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]
-    assert names[1] == "/jointset/Hips/pelvis_tilt/value"
-    assert names[-1] == "/jointset/LeftFoot/LeftFoot_z/speed"
-    _, values = coordinate_values(motion)
-    np.testing.assert_array_equal(table[:, 1:67], values)
-    central = (values[2:] - values[:-2]) * 60 / 2
-    np.testing.assert_allclose(table[1:-1, 67:], central, atol=1e-9)
-
-
-def test_single_frame_has_no_speed(motion: Motion, tmp_path: Path) -> None:
-    write_sto(tmp_path / "one.sto", motion[:1])
-    assert not read(tmp_path / "one.sto")[2][:, 67:].any()
 
 
 @pytest.mark.parametrize("write", [write_mot, write_sto])

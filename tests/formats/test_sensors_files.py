@@ -41,12 +41,6 @@ def test_one_format_recognises_a_file(title: str, tmp_path: Path) -> None:
         assert [kind.title for kind in FORMATS if kind.recognise(head)] == [title]
 
 
-@pytest.mark.parametrize("title", [kind.title for kind in FORMATS if kind.file_is_trial])
-def test_suffix_does_not_matter(title: str, tmp_path: Path) -> None:
-    place = WRITERS[title](tmp_path, TRUTHS)
-    assert read_sensor_log(place.rename(place.with_suffix(".data"))).format == title
-
-
 @pytest.mark.parametrize("title", WRITERS)
 def test_declaration_can_be_changed(title: str, tmp_path: Path) -> None:
     place = WRITERS[title](tmp_path, TRUTHS)

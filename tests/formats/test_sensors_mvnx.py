@@ -46,14 +46,6 @@ def test_sensors_segments_and_calibration_poses(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.streams[1].times, np.arange(6) / 60)
 
 
-def test_tag_may_be_absent_in_some_or_all_frames(tmp_path: Path) -> None:
-    field = f"<sensorMagneticField>{'1 2 3 ' * 2}</sensorMagneticField>"
-    frames = "".join(frame(i, orientations() + (field if i else "")) for i in range(3))
-    log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frames)))
-    assert log.streams[0].holds == ("m_sensor", "R_inertial_sensor")
-    np.testing.assert_array_equal(log.streams[1].m_sensor, [[np.nan] * 3, [1, 2, 3], [1, 2, 3]])
-
-
 def test_raw_tags_of_old_versions_are_reported(tmp_path: Path) -> None:
     old = "<sensorAcceleration>1 2 3 4 5 6</sensorAcceleration>"
     log = read_mvnx(written(tmp_path, mvnx_text(TRUTHS, frame(0, orientations() + old))))
@@ -92,10 +84,3 @@ def test_too_large_and_missing_files_are_refused(tmp_path: Path, monkeypatch: py
         read_mvnx(written(tmp_path, ONE_FRAME))
     with pytest.raises(FileFormatError, match="no such file"):
         read_mvnx(tmp_path / "other.mvnx")
-
-
-def test_frames_are_dropped_after_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mvnx, "LARGEST_FRAME", 2**18)
-    path = written(tmp_path, mvnx_text(TRUTHS, "".join(frame(i, orientations()) for i in range(4000))))
-    assert path.stat().st_size > 2**18
-    assert len(read_mvnx(path).streams[0]) == 4000

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.sensors.readings import WRAP_16, Packets, aligned, in_order, lost
+from rtof_kin.formats.sensors.readings import WRAP_16, Packets, in_order
 
 PATH = Path("walk.txt")
 
@@ -67,17 +67,3 @@ def test_invalid_counter_is_an_error_with_its_line(counters: list[float], line: 
         ordered(counters)
     assert caught.value.line == line
     assert "walk.txt" in str(caught.value)
-
-
-def test_lost_samples_are_counted() -> None:
-    times = np.array([0, 1, 2, 5, 6, 8]) / 50
-    assert lost(times) == lost(times, 50)
-    assert lost(times) == ("3 packets (33.3%) lost in 2 gaps, the longest of 0.04 s",)
-    assert lost(np.array([0.0, 0.06]), 50)[0].startswith("2 packets (50.0%) lost in 1 gap")
-    assert lost(np.arange(5) / 50 + [0, 0.004, -0.004, 0, 0]) == ()
-
-
-def test_counts_on_both_sides_of_a_wrap_are_aligned() -> None:
-    assert aligned([65530, 4, 65535], WRAP_16) == [0, 65536, 0]
-    assert aligned([4, 65530], WRAP_16) == [0, -65536]
-    assert aligned([100, 30000], WRAP_16) == [0, 0]

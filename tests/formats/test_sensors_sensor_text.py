@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sensor_files import SERIALS, dot_text, mt_text, mvnx_text, truth, write_ximu3
+from sensor_files import SERIALS, dot_text, mt_text, mvnx_text, truth
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.formats.sensors import sensor_text
@@ -44,10 +44,6 @@ def test_cut_last_line_is_left_out_with_a_note(tmp_path: Path) -> None:
     got = table(tmp_path, HEAD + "1,2,ok\n2,3")
     assert got.values.tolist() == [[1, 2]]
     assert got.notes == ("line 5 was cut off and is left out",)
-
-
-def test_ignored_column_may_hold_anything(tmp_path: Path) -> None:
-    assert table(tmp_path, HEAD + "1,2,1e999\n").values.tolist() == [[1, 2]]
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:
@@ -121,13 +117,6 @@ def test_mvnx_counts_milliseconds_since_1970(tmp_path: Path) -> None:
     cut = mvnx_text([ONE]).replace("<subject ", '<subject recDateMSecsSinceEpoch="later" ')
     path.write_text(cut)
     assert read_sensor_log(path).start_utc is None
-
-
-def test_ximu3_has_a_time_of_unknown_zone(tmp_path: Path) -> None:
-    folder = write_ximu3(tmp_path, [truth(1), truth(2)])
-    for own in folder.iterdir():
-        (own / "Command.json").write_text('[{"time":"2023-09-16 02:06:25"}]')
-    assert "began at 2023-09-16 02:06:25, in a time zone" in read_sensor_log(folder).notes[0]
 
 
 def test_only_utc_is_a_start(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from sensor_files import REAL, G, lines, truth, write_csv, write_mat, write_total_capture, write_ximu3
+from sensor_files import REAL, G, lines, truth, write_csv, write_mat, write_ximu3
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
@@ -25,7 +25,6 @@ from rtof_kin.formats.sensors.tables import (
     read_phone,
     write_opensense_sto,
 )
-from rtof_kin.formats.total_capture import read_sensor_log as read_total_capture_sensors
 
 TRUTHS = [truth(1), truth(2)]
 ONE = truth(1, T=6)
@@ -158,15 +157,6 @@ def test_mat_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, or
 # --- Total Capture -------------------------------------------------------------------------------
 
 
-def test_total_capture_has_60_frames_a_second_unless_declared(tmp_path: Path) -> None:
-    path = write_total_capture(tmp_path, TRUTHS)
-    log = read_total_capture_sensors(path)
-    assert log.declaration.rate_hz == 60
-    np.testing.assert_allclose(log.streams[1].times, np.arange(40) / 60)
-    np.testing.assert_allclose(log.streams[1].f_sensor, TRUTHS[1].f, atol=1e-9)
-    assert read_total_capture_sensors(path, rate_hz=30).streams[0].rate_hz == pytest.approx(30)
-
-
 TIMES = np.arange(50) / 100
 W = np.random.default_rng(0).normal(size=(50, 3)).round(6)
 F = np.random.default_rng(1).normal([0, 9.8, 0], size=(50, 3)).round(6)
@@ -248,13 +238,6 @@ def test_long_gaps_are_not_interpolated(tmp_path: Path) -> None:
     assert np.isnan(R[5:18]).all()
     assert np.isfinite([*R[:4], *R[19:]]).all()
     assert np.isfinite(m).all()  # 0.27 s: the field changes slowly
-
-
-def test_without_other_messages_orientation_and_field_are_absent(tmp_path: Path) -> None:
-    _, (own, _) = trial(tmp_path)
-    for kind in ("Quaternion", "Magnetometer"):
-        (own / f"{kind}.csv").unlink()
-    assert read_sensor_log(own).streams[0].holds == ("f_sensor", "w_sensor")
 
 
 @pytest.mark.parametrize(

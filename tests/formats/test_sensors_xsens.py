@@ -10,7 +10,7 @@ import pytest
 from sensor_files import REAL, Truth, dot_text, mt_text, truth
 
 from rtof_kin.core.errors import FileFormatError, UnitError
-from rtof_kin.formats.sensors.xsens import is_xsens_dot, is_xsens_mt, read_xsens_dot, read_xsens_mt
+from rtof_kin.formats.sensors.xsens import is_xsens_mt, read_xsens_dot, read_xsens_mt
 
 ONE = truth(3, T=20)
 COUNTERS = np.arange(20) + 600
@@ -169,18 +169,7 @@ def test_dot_lost_packets_are_counted_by_the_rate_in_the_header(tmp_path: Path) 
     assert read_xsens_dot([dot(tmp_path, text.replace("OutputRate:,60Hz", "OutputRate:,?"))]).notes == ()
 
 
-def test_dot_declared_rate_and_counter_give_times_after_the_first_stamp(tmp_path: Path) -> None:
-    path = dot(tmp_path, dot_text(ONE, STAMPS + np.array([0, 300, -300, 0] * 5)))
-    np.testing.assert_allclose(read_xsens_dot([path], rate_hz=60).streams[0].times, 1 + np.arange(20) / 60)
-
-
 def test_dot_restarted_stamps_are_an_error_with_their_line(tmp_path: Path) -> None:
     stamps = np.concatenate([STAMPS[:10] + 2_000_000_000, STAMPS[:10]])
     with pytest.raises(FileFormatError, match="line 17: SampleTimeFine goes from"):
         read_xsens_dot([dot(tmp_path, dot_text(ONE, stamps))])
-
-
-def test_dot_file_of_raw_columns_is_recognised_by_its_header() -> None:
-    columns = "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z\n"
-    assert is_xsens_dot("sep=,\nDeviceTag:,a\n\n" + columns)
-    assert not is_xsens_dot(columns)  # the unit of Gyr is ambiguous

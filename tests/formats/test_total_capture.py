@@ -83,14 +83,6 @@ def test_sensors_by_hand_with_mixed_spacing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.f_sensor[:, 1], [[1, 2, 3], [7, 8, 9]])
 
 
-@pytest.mark.parametrize("rest", ["", "Pelvis\t0.1"], ids=["between frames", "in a frame"])
-def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Path]) -> None:
-    rows = support.lines(paths["sensors"])
-    write(paths["sensors"], "".join(rows[: 1 + 14 * 20]) + rest)
-    with pytest.raises(FileFormatError, match=r"announces 90 frames.*\b20\b.*again"):
-        read_sensors(paths["sensors"])
-
-
 def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     text = "2\r\nHead -0.698693 -0.000693276 0.030256 0.714781 \r\n\r\nPelvis\t0 0 0 1\r\n"
     found = read_imu_calibration(write(tmp_path / "ref.txt", text))

@@ -101,15 +101,6 @@ def test_a_wrong_field_is_found_and_its_value_named(means: Declaration, field: s
         assert all(change == {field: getattr(means, field)} for change in likely)
 
 
-@pytest.mark.parametrize("field", [name for name in CHOICES if name != "quaternion_order"])
-def test_a_wrong_field_is_found_without_quaternions(field: str) -> None:
-    stream = without(moved(), "quaternion_norm")
-    for value in CHOICES[field][1:]:
-        declared = PLAIN.changed(**{field: value})
-        checks = failed(read_as(stream, PLAIN, declared), declared).values()
-        assert {tuple(c.likely.items()) for c in checks} == {((field, CHOICES[field][0]),)}
-
-
 def test_two_wrong_fields_are_named_together() -> None:
     declared = Declaration("g", angular_unit="deg/s")
     checks = failed(read_as(moved(), PLAIN, declared), declared)
@@ -137,13 +128,6 @@ def test_removed_gravity_is_found(rests: bool) -> None:
     assert "gravity was removed" in direction.advice
 
 
-def test_turning_determines_the_unit_without_gravity() -> None:
-    declared = Declaration("g", "removed")
-    checks = failed(read_as(moved(), Declaration("mg", "removed"), declared), declared)
-    assert laws.LEVER in checks
-    assert all(c.likely.get("acceleration_unit") == "mg" for c in checks.values() if c.likely)
-
-
 def test_the_gyroscope_determines_a_wrong_rate() -> None:
     stream = moved(rate_hz=60.0)
     check = failed(replace(stream, times=stream.times[0] + np.arange(len(stream)) / 100))[GYROSCOPE]
@@ -160,14 +144,6 @@ def test_sensors_of_a_log_share_the_likely_declaration() -> None:
     odd = read_as(moved(name="odd"), PLAIN, Declaration("mg"))
     checks = [check for check in checked(moved(seed=1, name="good"), odd) if check.failed]
     assert {check.subject for check in checks} == {"odd"}
-
-
-def test_noise_is_explained_by_no_declaration() -> None:
-    stream = moved()
-    R = Rotation.random(len(stream), rng=np.random.default_rng(0)).as_matrix()
-    check = failed(replace(stream, R_inertial_sensor=R))[GYROSCOPE]
-    assert not check.likely
-    assert check.advice.endswith("No other declaration makes it hold")
 
 
 @pytest.mark.parametrize("late", [-12, -3, 2, 25])

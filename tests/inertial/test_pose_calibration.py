@@ -120,15 +120,6 @@ def test_warnings_name_restless_sensors_and_unobservable_headings() -> None:
     assert "headings (1.0 nats)" in replace(found, heading_margin=1.0).warnings[-1]
 
 
-def test_levers_are_given_or_usual_or_in_the_middle_of_the_segment() -> None:
-    worn = posed()
-    found = calibrate(worn, "N", levers={"Pelvis": [0.0, 0.0, 0.1]}).calibration
-    np.testing.assert_array_equal(found.p_bone_sensor[LEGS.index("Pelvis")], [0.0, 0.0, 0.1])
-    hand = worn.skeleton.table.joints[worn.skeleton.index("LeftHand")[0]]
-    found = calibrate_by_pose(worn.imus, {"Pelvis": "LeftHand"}, "N", worn.skeleton, facing=0.0).calibration
-    np.testing.assert_allclose(found.p_bone_sensor, hand.end[None] / 2)
-
-
 @pytest.mark.parametrize(
     "error, message, changes",
     [
@@ -241,3 +232,19 @@ def test_gaps_short_pauses_and_separate_sensors_are_refused() -> None:
     keep = (whole.times < 4) | (whole.times > 7)
     with pytest.raises(CalibrationError, match="without rotation"):
         held(SensorStream("a", whole.times[keep], None, whole.R_inertial_sensor[keep]))
+
+
+def test_invalid_poses_are_refused(skeleton: SkeletonModel) -> None:
+    with pytest.raises(UnknownNameError, match="unknown calibration pose 'TT'.*Known: T, N, seated"):
+        pose_rotations("TT", skeleton)
+    with pytest.raises(InvalidInputError, match=r"expected shape \(21, 3, 3\)"):
+        pose_rotations(np.eye(3), skeleton)
+    measured = so3.exp(np.random.default_rng(0).standard_normal((21, 3)))
+    np.testing.assert_array_equal(pose_rotations(measured, skeleton), measured)
+    R = np.tile(np.eye(3), (21, 1, 1))
+    R[4] = np.nan
+    with pytest.raises(InvalidInputError, match="Spine3"):
+        pose_rotations(R, skeleton)
+    lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
+    with pytest.raises(InvalidInputError, match="vertical"):
+        facing_of(lying)

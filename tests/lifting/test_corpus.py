@@ -287,3 +287,9 @@ def test_gaps_are_cut_out_and_damaged_actions_skipped(positions: h36m.Positions,
     corpus = human36m_corpus(tmp_path, lambda done, total, note: reports.append(note))
     assert np.diff(corpus.start).tolist() == [38, 38]
     assert "S1 Sitting skipped: " in reports[0]
+
+
+def test_a_split_is_read_by_subject(tmp_path: Path) -> None:
+    path = tmp_path / "split.toml"
+    path.write_text('test = ["a"]\nvalidation = ["b", "c"]\n[benchmark]\nseconds = 10.0\n')
+    assert read_split(path) == {"a": "test", "b": "validation", "c": "validation"}

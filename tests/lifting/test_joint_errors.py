@@ -12,18 +12,7 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.joint_errors import (
-    Draw,
-    JointErrors,
-    View,
-    about_axis,
-    exchanged,
-    hidden_joints,
-    jumps,
-    mean_error,
-    rig_places,
-    smooth_errors,
-)
+from lifting.training.joint_errors import Draw, JointErrors, View, about_axis, jumps, mean_error, smooth_errors
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
@@ -109,54 +98,6 @@ def test_drawn_errors_have_the_tables_mean_and_covariance(body: Body) -> None:
     np.testing.assert_allclose(now.std(dim=0), sd, rtol=0.1)
     correlation = torch.corrcoef(now.T) - C / sd / sd[:, None]
     assert correlation.abs().mean() < 0.06, "amplitudes differ between limbs, so a little is lost"
-
-
-def test_a_place_is_projected_as_a_camera_does(body: Body) -> None:
-    """Independent reference: move the joint and project."""
-    view = standing(body, 50.0, rows=1, side=0.8)
-    zero = {name: torch.zeros_like(getattr(TABLE, name)) for name in ("view", "follows")}
-    found = mean_error(body, replace(TABLE, **zero), view, torch.ones(1))[0]
-    p = view.joints[0].T
-    moved = p + torch.einsum("jab,jb->ja", view.segments()[0], 0.01 * TABLE.place)
-    shift = (moved[:, :2] / moved[:, 2:] - p[:, :2] / p[:, 2:]) * p[:, 2:]
-    np.testing.assert_allclose(found * 0.01, shift, atol=1e-5)
-
-
-def test_trunk_joints_of_an_unusual_rig_are_found_where_most_rigs_have_them(body: Body) -> None:
-    rig = OFFSETS.clone()
-    rig[body.names.index("Spine")] -= torch.tensor([0.0, 0.0, 0.05])
-    rig[[body.names.index(f"{side}UpLeg") for side in ("Left", "Right")]] -= torch.tensor([0.0, 0.0, 0.05])
-    view = standing(body, 90.0, rows=1)  # Hips 50 mm higher over the hips, and below the lumbar joint
-    other = View(view.joints, view.axes, rig[None])
-    change = (mean_error(body, TABLE, other, torch.ones(1)) - mean_error(body, TABLE, view, torch.ones(1)))[0]
-    assert 0.02 < change[0, 1] < 0.05, "found lower than the rig has it"
-    assert change[8:11].abs().max() < 1e-6, "arms stay"
-    place = rig_places(body, OFFSETS[None] * 1.3)
-    torch.testing.assert_close(place, rig_places(body, OFFSETS[None]), atol=1e-6, rtol=0)
-
-
-def test_the_far_arm_is_hidden_in_profile(body: Body) -> None:
-    view = standing(body, 90.0, rows=1)  # from the left
-    hidden = {body.names[j] for j in hidden_joints(body, view)[0].nonzero()[:, 0]}
-    assert "RightArm" in hidden
-    assert not {name for name in hidden if name.startswith("Left")}
-    assert not hidden_joints(body, standing(body, 0.0, rows=1)).any()
-    table = replace(TABLE, hidden=TABLE.hidden * 3)
-    larger = errors(body, view, table).std() / errors(body, view).std()
-    assert larger > 1.01
-
-
-@pytest.mark.parametrize(("azimuth", "per_minute"), [(90.0, 106.0), (0.0, 0.0)])
-def test_sides_are_exchanged_in_profile(body: Body, azimuth: float, per_minute: float) -> None:
-    view = standing(body, azimuth, rows=20_000)
-    names = torch.arange(21.0).expand(20_000, 2, W, 21)
-    out = exchanged(body, view, names, draws(20_000), RATE_HZ)
-    swapped = out != names
-    other = torch.tensor(body.mirrored, dtype=torch.float32)
-    assert torch.equal(out[swapped], other.expand(names.shape)[swapped])
-    share = swapped[:, 0].float().mean(dim=(0, 1))
-    assert share[:7].max() == 0
-    assert share[body.legs[0][1]] == pytest.approx(per_minute / 60 * 0.055, rel=0.2)
 
 
 def test_limbs_jump_rarely_briefly_and_far(body: Body) -> None:

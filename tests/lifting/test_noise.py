@@ -9,21 +9,9 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.data import MotionBank, Moving, augmentation
+from lifting.training.data import augmentation
 from lifting.training.joint_errors import Draw
-from lifting.training.noise import (
-    FOCAL_PX,
-    TRAINING_NOISE,
-    NoiseConfig,
-    RigConfig,
-    SensorConfig,
-    add_noise,
-    log,
-    turns,
-    with_errors,
-    worn,
-)
-from lifting.windows import rotations
+from lifting.training.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, SensorConfig, add_noise, with_errors, worn
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
 
@@ -78,14 +66,6 @@ def test_kinds_have_their_shares(body: Body) -> None:
     assert correlated[clean + white :].min() > 0.5
 
 
-def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> None:
-    error, _ = noise_of(body, replace(QUIET, bias_px=6.0))
-    assert (error - error[:, :, :1]).abs().max() == 0
-    sigma = error[:, :, 0].std(dim=(0, 1))
-    for name, expected in {"Hips": 6.0, "LeftHand": 7.8, "RightLeg": 4.8, "RightUpLeg": 6.0}.items():
-        assert sigma[body.names.index(name)] == pytest.approx(expected, rel=0.1), name
-
-
 @pytest.mark.parametrize(
     ("joint", "memory", "rate_hz"), [("Head", 0.5, 60.0), ("LeftHand", 0.3, 60.0), ("Head", 0.5, 50.0)]
 )
@@ -100,40 +80,6 @@ def test_drift_is_an_ornstein_uhlenbeck_process(body: Body, joint: str, memory: 
     np.testing.assert_allclose(measured, np.exp(-lag / rate_hz / memory), atol=0.06)
 
 
-@pytest.mark.parametrize("share", [0.03, 0.05, 0.2])
-def test_missing_runs_cover_their_share_of_all_samples(body: Body, share: float) -> None:
-    _, seen = noise_of(body, replace(QUIET, missing_share=share), rows=2000)
-    assert 1 - seen.float().mean() == pytest.approx(share, rel=0.1)
-    changes = (seen[:, 1:] != seen[:, :-1]).sum(dim=1)
-    assert changes.max() <= 2  # one run, not scattered samples
-
-
-def test_outliers_are_large_rare_and_constant_while_they_last(body: Body) -> None:
-    error, _ = noise_of(body, replace(QUIET, outlier_share=0.04), rows=2000)
-    there = error.abs().amax(dim=1) > 0
-    assert there.float().mean() == pytest.approx(0.04, rel=0.1)
-    assert error[:, 0][there].std() == pytest.approx(60.0, rel=0.1)
-    both = there[:, 1:] & there[:, :-1]
-    step = (error[:, :, 1:] - error[:, :, :-1]).abs().amax(dim=1)
-    assert step[both].max() == 0
-
-
-def test_gaps_hide_the_whole_body_but_never_the_whole_window(body: Body) -> None:
-    _, seen = noise_of(body, replace(QUIET, gap_share=1.0))
-    whole = seen.any(dim=2) == seen.all(dim=2)
-    assert whole.all()
-    assert (~seen).any()
-    assert seen.any(dim=2).any(dim=1).all()
-
-
-def test_sparse_detectors_lack_the_trunk_throughout(body: Body) -> None:
-    _, seen = noise_of(body, replace(QUIET, sparse_share=1.0))
-    assert torch.equal(seen.all(dim=1), seen.any(dim=1))
-    lacking = {name for j, name in enumerate(body.names) if not seen[:, :, j].any()}
-    trunk = {"Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck"}
-    assert lacking == trunk | {"LeftShoulder", "RightShoulder"}
-
-
 def test_training_noise_is_chosen_by_name(body: Body) -> None:
     assert TRAINING_NOISE["mixed"] == NoiseConfig()
     assert noise_of(body, TRAINING_NOISE["perfect"])[0].abs().max() == 0
@@ -144,73 +90,7 @@ def test_training_noise_is_chosen_by_name(body: Body) -> None:
         augmentation("real")
 
 
-def test_landmarks_outside_the_image_are_unseen(body: Body) -> None:
-    xy = torch.zeros(4, 2, W, len(body.names))
-    xy[:, 0, :, 3] = 0.80  # 1000 px right of the middle of 1920
-    xy[:, 1, :, 4] = -0.40  # 500 px above the middle of 1080
-    seen = torch.ones(4, W, len(body.names), dtype=torch.bool)
-    _, mask = add_noise(body, replace(QUIET, truncated_share=1.0), xy, seen, random(4))
-    assert not mask[..., 3].any()
-    assert mask[..., 4].all()
-
-
 B_RIGS, W_RIGS = 200, 27
-STILL = RigConfig(
-    share=1.0, spread=0.0, spine=(0, 0, 0), pelvis=(0, 0, 0), clavicle=(0, 0, 0), mobility=(1.0, 1.0), places=0.0
-)
-
-
-@pytest.fixture(scope="module")
-def bank() -> MotionBank:
-    return MotionBank(support.tiny_corpus(), [0, 1], torch.device("cpu"))
-
-
-def varied(bank: MotionBank, rigs: RigConfig, estimated: int = W_RIGS // 2) -> tuple[Moving, Moving]:
-    """The same bodies as recorded and in another rig."""
-    frames = torch.linspace(20, 150, B_RIGS).long()
-    offset = (torch.arange(W_RIGS) - estimated + torch.zeros(B_RIGS, 1)).float()
-    one, other = (
-        bank._at(frames, offset, torch.zeros(B_RIGS, 1), torch.zeros(B_RIGS, dtype=torch.long))[0] for _ in range(2)
-    )
-    bank._vary(other, frames, offset, rigs, draws(B_RIGS))
-    return one, other
-
-
-@pytest.mark.parametrize("estimated", [W_RIGS // 2, W_RIGS - 1])
-def test_bones_follow_their_segments(bank: MotionBank, estimated: int) -> None:
-    """Independent reference: forward kinematics from orientations and offsets."""
-    _, moving = varied(bank, RigConfig(share=1.0), estimated)
-    R = rotations(moving.axes).permute(0, 3, 1, 2)
-    bones = (R[:, bank.body.parents[1:]] @ moving.offsets[:, 1:, :, None])[..., 0]
-    torch.testing.assert_close(moving.bones[:, :, estimated].transpose(1, 2), bones, atol=1e-5, rtol=0)
-    torch.testing.assert_close(R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
-
-
-def test_another_place_of_the_root_leaves_the_legs_motion(bank: MotionBank) -> None:
-    one, other = varied(bank, replace(STILL, places=1.0))
-    hip, knee, _ = bank.body.legs[0]
-    assert (other.offsets - one.offsets)[:, hip].norm(dim=1).mean() > 0.03
-    change = torch.matmul(other.bones, bank.chain) + other.root[..., None]
-    change -= torch.matmul(one.bones, bank.chain) + one.root[..., None]
-    moved = change[..., knee] - change[:, :, W_RIGS // 2 : W_RIGS // 2 + 1, knee]
-    assert moved.norm(dim=1).max() < 0.01
-
-
-def draws(batch: int) -> Draw:
-    return Draw(batch, torch.Generator().manual_seed(0), torch.device("cpu"))
-
-
-def test_a_bend_is_spread_and_a_clavicle_slowed(bank: MotionBank) -> None:
-    """Planted: a bend of 40 degrees, all of it at one joint, becomes 10 degrees at each."""
-    R = torch.eye(3).repeat(B_RIGS, W_RIGS, 8, 1, 1)
-    R[:, :, 4:] = torch.from_numpy(so3.about_axis("y", np.radians(40.0))).float()
-    R[:, :, 5] = R[:, :, 4] @ torch.from_numpy(so3.about_axis("x", 0.3)).float()
-    axes = R[..., [0, 2]].permute(0, 3, 1, 4, 2)
-    out = turns(axes, replace(STILL, mobility=(0.5, 0.5)), draws(B_RIGS)) @ R
-    bend = log(out[:, :, :5])[0, 0]
-    np.testing.assert_allclose(bend[:, 1].rad2deg(), [0, 10, 20, 30, 40], atol=1e-3)
-    clavicle = log(out[:, :, 4].transpose(-1, -2) @ out[:, :, 5])
-    np.testing.assert_allclose(clavicle[0, 0], [0.15, 0, 0], atol=1e-5)
 
 
 B_SENSORS, W_SENSORS = 2000, 4
@@ -275,16 +155,6 @@ def test_limbs_err_as_measured_on_real_recordings(truth: np.ndarray) -> None:
     swing, twist = np.linalg.norm(error[:, :2], axis=-1), np.abs(error[:, 2])
     assert np.median(swing) == pytest.approx(2.7, abs=0.25)
     assert np.median(twist) == pytest.approx(4.7, abs=0.3)
-
-
-@pytest.mark.parametrize("amplitude", [0.2, 2.0])
-def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(truth: np.ndarray, amplitude: float) -> None:
-    config = replace(NO_ERROR, heading=0.05, amplitude=(amplitude, amplitude))
-    error = so3.log(measured_by_sensors(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
-    assert np.abs(error[..., :2]).max() < 1e-5
-    np.testing.assert_allclose(error[:, 0, :, 2].std(axis=0), 0.05, rtol=0.06)
-    correlation = np.corrcoef(error[:, 0, :, 2].T) - np.eye(3)
-    assert np.abs(correlation).max() < 0.1, "every sensor has its own"
 
 
 # --- which are worn ------------------------------------------------------------------------------

@@ -175,7 +175,7 @@ def test_the_command_trains_with_every_option(
     corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
-    common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--threads", "1"]
+    common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--draw-threads", "1"]
     common += ["--validation-windows", "8", "--ema", "0.9", "--no-bfloat16"]
     assert cli.main([*common, "-o", str(out), "--causal", "--camera-at", "4", "1.5", "--seed", "3"]) == 0
     assert f"curves: {out}.curves.png" in capsys.readouterr().out

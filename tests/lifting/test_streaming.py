@@ -15,7 +15,6 @@ from torch import Tensor
 from lifting import windows
 from lifting.models import FoldedNetwork
 from lifting.predict import LiftedPoses, Lifter
-from lifting.source import Source
 from lifting.streaming import FewWindows, StreamedPose, StreamingLifter
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, RtofError, ShapeError, UnknownNameError
@@ -104,20 +103,6 @@ def test_the_newest_frames_move_on_as_they_did(
     assert moving is not None
     gap = np.abs(moving.p_world_joint - repeated.p_world_joint[-1]).max()
     assert 1e-4 < gap < 0.2
-
-
-def test_the_guess_of_later_frames_is_damped_and_of_unit_length(lifter: Lifter, keypoints: KeypointSequence) -> None:
-    source = Source.of(lifter.description.body, keypoints[:30], None)
-    longer = source.extended(13, 60.0)
-    np.testing.assert_allclose(np.diff(longer.times), 1 / 60)
-    np.testing.assert_array_equal(longer.rays[:30], source.rays)
-    np.testing.assert_allclose(np.linalg.norm(longer.rays[30:], axis=-1), 1.0, atol=1e-6)
-    steps = np.linalg.norm(np.diff(longer.rays[29:], axis=0), axis=-1)
-    assert (np.diff(steps, axis=0) < 0).all()
-    velocity = (source.rays[29] - source.rays[25]) / 4
-    np.testing.assert_allclose(longer.rays[30] - source.rays[29], 0.8 * velocity, atol=3e-4)
-    alone = Source.of(lifter.description.body, keypoints[:1], None).extended(2, 60.0)
-    np.testing.assert_allclose(alone.rays[1:], alone.rays[[0, 0]], atol=1e-6)
 
 
 def test_late_and_replaced_frames_count_as_if_they_had_come_in_time(

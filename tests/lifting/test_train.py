@@ -15,11 +15,9 @@ from lifting.predict import Lifter
 from lifting.training.corpus import Corpus
 from lifting.training.data import plain
 from lifting.training.noise import SensorConfig
-from lifting.training.run import shipped_skeleton
 from lifting.training.settings import TrainConfig, motions_of, postures_of, prior_of_corpus
 from lifting.training.train import train
 from rtof_kin.body import kinematics
-from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.pose_prior_fit import fit_pose_prior
 from rtof_kin.body.skeleton import SkeletonModel
@@ -91,28 +89,6 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
     error = lifted.p_world_joint - p
     assert np.linalg.norm(error - error[:, :1], axis=-1).mean() < 0.08
     assert np.linalg.norm(error, axis=-1).mean() < 0.25
-
-
-def test_a_lifter_of_17_joints_at_50_hz_is_described(tmp_path: Path) -> None:
-    corpus = support.tiny_corpus(frames=40, table=support.TABLE_17, rate_hz=50.0)
-    corpus = replace(corpus, acknowledgement="by a licensee")
-    description = load_checkpoint(train(QUICK, corpus, tmp_path / "lifter.pt"))[1]
-    assert description.body.names == support.TABLE_17.names
-    assert description.rate_hz == 50.0
-    assert description.data == "by a licensee"
-    assert description.validation["perfect"]["rr_mm"] < 1000
-    assert description.body.sensors == ()
-    assert not any("sensors" in kind for kind in description.validation)
-
-
-def test_the_shipped_skeleton_has_the_joints_of_the_corpus_in_shared_frames() -> None:
-    for table in (support.TABLE, support.TABLE_17):
-        (body,) = shipped_skeleton(support.tiny_corpus(table=table))
-        np.testing.assert_allclose(np.linalg.norm(body, axis=1), np.linalg.norm(table.offsets, axis=1), atol=1e-6)
-        R_bone_shared = shared_frames(table.names, body)
-        np.testing.assert_allclose(R_bone_shared, np.broadcast_to(np.eye(3), R_bone_shared.shape), atol=1e-6)
-    renamed = replace(support.tiny_corpus(), names=tuple(f"{n}_" for n in support.TABLE.names))
-    assert shipped_skeleton(renamed) == []
 
 
 def test_a_resumed_training_equals_an_uninterrupted_one(corpus: Corpus, tmp_path: Path) -> None:
@@ -193,14 +169,6 @@ def test_minutes_end_a_training(corpus: Corpus, tmp_path: Path) -> None:
     assert 1.8 <= reports[-1]["seconds"] < 5.0
 
 
-def test_the_global_random_state_is_restored(corpus: Corpus, tmp_path: Path) -> None:
-    torch.manual_seed(7)
-    expected = torch.rand(3)
-    torch.manual_seed(7)
-    train(replace(QUICK, windows=32), corpus, tmp_path / "lifter.pt")
-    assert torch.equal(torch.rand(3), expected)
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -259,11 +227,6 @@ def test_one_rig_keeps_its_spine_and_several_share_the_bend() -> None:
     np.testing.assert_array_equal(auto.covariance, own.covariance)
     np.testing.assert_array_equal(several.covariance, even.covariance)
     assert not np.allclose(own.covariance, even.covariance)
-
-
-@pytest.mark.parametrize("table, frames", [(support.TABLE_17, 60), (support.TABLE, 20)])
-def test_other_skeletons_and_short_clips_have_no_prior(table: object, frames: int) -> None:
-    assert prior_of_corpus(support.tiny_corpus(frames=frames, table=table)) is None  # type: ignore[arg-type]
 
 
 def test_subjects_have_the_posture_of_their_first_t_pose() -> None:

@@ -13,7 +13,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import MOVEMENTS, movement
-from rtof_kin.plan.operator_page import draw_setup, operator_page, operator_steps
+from rtof_kin.plan.operator_page import MOST_LINES, draw_setup, operator_page, operator_steps
 from rtof_kin.plan.protocol import framing, sensor_places
 
 SKELETON = SkeletonModel.default()
@@ -119,3 +119,10 @@ def test_every_movement_with_all_sensors_fits(name: str) -> None:
     steps = operator_steps(info, place, sensor_places(SKELETON, SENSORS), info.repetitions, 30.0)
     assert operator_page(name, info, steps, "<svg/>", ["x" * 90] * 6)
     assert "0 sensor" not in " ".join(operator_steps(info, place, {}, 1, 30.0))
+
+
+def test_more_than_a_sheet_holds_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match=str(MOST_LINES)):
+        page(doubts=("word " * 600,))
+    with pytest.raises(InvalidInputError, match="shorten"):
+        operator_page("t", MOVEMENTS["squat"], ["step"] * MOST_LINES, "<svg/>", [])

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.plan import plan as planning
 from rtof_kin.plan.document import COLUMNS, MARKER, advice, cautions, headline, write_plan
 from rtof_kin.plan.identifiability import ROOT, Information
 from rtof_kin.plan.operator_page import INSTRUCTIONS
 from rtof_kin.plan.plan import Plan, plan
-from rtof_kin.plan.prediction import ENOUGH, PLANTED, CalibrationTime, Prediction
+from rtof_kin.plan.prediction import ENOUGH, PLANTED, CalibrationTime, Prediction, calibration_time, planted
 from rtof_kin.plan.protocol import CameraPlace, Protocol
 from rtof_kin.plan.setup import Setup, planned
 
@@ -146,3 +147,30 @@ def test_a_recording_is_planned_as_it_was_recorded(setup: Setup, tmp_path: Path)
     assert found.sensors == protocol.sensors
     np.testing.assert_allclose(found.camera.center_world, setup.camera.center_world)
     assert protocol.camera.focal_px == pytest.approx(np.trace(setup.camera.K[:2, :2]) / 2)
+
+
+def test_what_is_planted_is_what_is_measured_as_left(setup: Setup) -> None:
+    from rtof_kin.plan.prediction import _left
+
+    true = setup.recorded(0, late=False)
+    wrong = planted(true, 3)
+    left = _left(wrong, true)
+    assert left["delay"] == pytest.approx((wrong.video.times[0] - true.video.times[0]) ** 2)
+    assert 0.3 < np.sqrt(left["heading"]) / PLANTED["heading"] < 2.0
+    assert 0.3 < np.sqrt(left["mounting"]) / PLANTED["mounting"] < 2.0
+    assert wrong.calibration is not None
+    assert true.calibration is not None
+    turned = wrong.calibration.R_world_inertial @ np.swapaxes(true.calibration.R_world_inertial, -1, -2)
+    np.testing.assert_allclose(so3.log(turned)[:, :2], 0.0, atol=1e-9)  # about the vertical only
+    assert all(value == pytest.approx(0.0, abs=1e-12) for value in _left(true, true).values())
+
+
+def test_a_calibration_needs_sensors(setup: Setup) -> None:
+    with pytest.raises(InvalidInputError, match="without sensors"):
+        calibration_time(replace(setup, sensors=()))
+
+
+def test_a_plan_without_search_compares_nothing(stubbed: Setup, tmp_path: Path) -> None:
+    found = plan(Protocol("squat", wanted=NAMES), stubbed, search=False)
+    assert (found.cameras, found.sensors, found.calibration) == ((), (), None)
+    write_plan(found, tmp_path / "out")

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from protocol_support import read_json, row
+from protocol_support import row
 
-from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
-from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled, write_results
+from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled
 from rtof_kin.protocols.total_capture import TotalCaptureProtocol, all_tables
-from rtof_kin.reporting.document import Document
 
 FRAMES = {
     "walking2": (3189, 3575, 3239, 3376, 3738),
@@ -101,38 +99,6 @@ def test_the_pooled_figure_is_the_mean_over_all_frames(parts: list[tuple[float |
     frames = np.concatenate([[], *values])
     expected = pytest.approx(frames.mean(), rel=1e-9, abs=1e-9) if len(frames) else None
     assert pooled(rows, "error") == expected
-
-
-PLAIN = Table(
-    "plain",
-    "A title",
-    ("method", "error [mm]", "share"),
-    (0, 1, 2),
-    (("a | b", 12.345, "50 %"), ("two\nlines", None, np.nan), ("", np.inf, 0)),
-    ("First.", "Second [mm]."),
-)
-
-
-def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: Path) -> None:
-    asked = tmp_path / "deep" / "all.json"
-    facts = {"settings": {"seed": 3}, "tables": {"plain": PLAIN.as_dict()}}
-    found = Document("tables", "A study", "Of one table.", printed=[PLAIN], facts=facts)
-    paths = write_results(found, tmp_path / "out", asked)
-    assert paths == [tmp_path / "out" / "tables.md", tmp_path / "out" / "tables.json", asked]
-    content = read_json(asked)
-    assert content["settings"] == {"seed": 3}
-    assert content["tables"]["plain"] == {
-        "title": "A title",
-        "columns": ["method", "error [mm]", "share"],
-        "rows": [["a | b", 12.345, "50 %"], ["two\nlines", None, None], ["", None, 0]],
-        "notes": ["First.", "Second [mm]."],
-    }
-    assert asked.read_bytes() == (tmp_path / "out" / "tables.json").read_bytes()
-    assert content["headline"] == "Of one table."
-    assert (tmp_path / "out" / "tables.md").read_text() == f"Of one table.\n\n{PLAIN.markdown()}"
-    assert len(write_results(found, tmp_path / "out")) == 2
-    with pytest.raises(RtofError, match=f"{tmp_path}: is a folder; name a file"):
-        write_results(found, tmp_path / "out", tmp_path)
 
 
 def complete(cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **figures: Any) -> dict[str, Any]:
@@ -226,3 +192,16 @@ def test_missing_results_are_named_under_every_table(
     for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
         assert [note for note in tables[name].notes if note.startswith("INCOMPLETE")] == expected
     assert (tables["state_of_data"].rows if "state_of_data" in tables else ()) == state
+
+
+def test_the_study_of_fragment_length_has_speeds() -> None:
+    methods = {"as printed, N = 50": scores(5.0, 100, seconds=2.0), "as printed, N = 20": scores(6.0, 100, seconds=0.5)}
+    done = measured("S1", "walking2", 1, rtof=scores(), **methods)
+    done |= measured("S1", "walking2", 3, rtof=scores(), **{"as printed, N = 50": scores(8.0, 200, seconds=1.0)})
+    tables = tables_of(protocol(modes=("rtof",), studies=True), done)
+    fifty = row(tables["fragment_length"], "50")
+    assert fifty["frames/s"] == pytest.approx(300 / 3.0)
+    assert fifty["root-relative [mm]"] == pytest.approx(7.0)
+    assert (fifty["paper: frames/s"], fifty["paper: MPJJE"]) == (743, 63.84)
+    assert row(tables["fragment_length"], "200")["frames/s"] is None
+    assert [cells[0] for cells in tables["fragment_length"].rows] == ["200", "100", "50", "20"]

@@ -191,19 +191,6 @@ def test_any_span_equals_that_of_the_whole(both: tuple[Recording, RecordingReade
     assert_same(reader.between(*span), wanted)
 
 
-def test_all_of_it_equals_the_whole(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    assert_same(reader.whole(), whole)
-
-
-def test_the_time_axis_is_that_of_the_whole(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    np.testing.assert_array_equal(reader.times, whole.times)
-    assert (reader.name, reader.start_s, reader.stop_s) == (whole.name, whole.start_s, whole.stop_s)
-    assert reader.rate_hz == whole.rate_hz == pytest.approx(60)
-    assert (reader.frame_times is None) == (whole.keypoints is None)
-
-
 # --- borders and streams that are missing --------------------------------------------------------
 
 

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure as Plot
 from report_support import Page
 from rich.console import Console
 
+from rtof_kin.core.checks import some
 from rtof_kin.core.errors import OutputExistsError
-from rtof_kin.reporting.document import Badge, Document, Figure, Section, Table, fixed, number, page, show, some, write
+from rtof_kin.reporting.document import Badge, Document, Figure, Section, Table, fixed, number, page, show, write
 
 NAME = Markup("{} <small>bent</small>").format("knee & hip")
 TABLE = Table(

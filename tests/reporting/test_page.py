@@ -24,7 +24,7 @@ from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.range_of_motion import UncertainEnd
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import document, plot_data
 from rtof_kin.reporting.angle_names import angle_name, side_and_name
 from rtof_kin.reporting.audit_results import AuditResult, Grade

@@ -23,7 +23,7 @@ from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
-from rtof_kin.recording.index import Session
+from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.angle_names import plain_words
 from rtof_kin.reporting.audit_results import AuditResult, Grade, Headline
 from rtof_kin.reporting.summary_file import Summary

@@ -34,8 +34,9 @@ from rtof_kin.setup.camera import (
     filming_camera,
     rotation_of_video,
 )
-from rtof_kin.setup.init import SetupSettings, find_people, write_recording
+from rtof_kin.setup.init import find_people, write_recording
 from rtof_kin.setup.recording_text import Field, Origin, recording_text, summaries
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.background_motion import bearings, turn_between
 from rtof_kin.vision.detections import Detections
@@ -211,3 +212,11 @@ def test_video_that_tells_nothing_leaves_the_camera_and_says_so(tmp_path: Path) 
     assert "whether the camera stood still is not known" in found.doubts[0]
     with pytest.raises(InvalidInputError, match="give the video too"):
         filming_camera(None, PEOPLE, camera, tmp_path / "gyro.csv", lambda *_: None)
+
+
+def test_log_of_another_take_is_not_used(
+    filmed: tuple[Path, Array], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = rotation_of_video(filmed[0], PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv", seed=6))
+    assert found.motion.up_first is None
+    assert "is it the file of this video" in caplog.text

@@ -16,7 +16,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import init
-from rtof_kin.setup.init import Findings, SetupSettings, find_people, read_findings, write_recording
+from rtof_kin.setup.init import Findings, find_people, read_findings, write_recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 

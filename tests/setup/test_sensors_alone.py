@@ -14,8 +14,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.init import SetupSettings
 from rtof_kin.setup.sensors_alone import make_sensor_recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 
 

@@ -98,17 +98,6 @@ def test_arrays_and_folders(tmp_path: Path) -> None:
     assert {name: recognise_source(tmp_path / name) for name in kinds} == kinds
 
 
-def test_a_large_file_is_not_read_through(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    with path.open("wb") as stream:
-        stream.write(LANDMARKS)
-        stream.truncate(2**40)
-    assert recognise_source(path) is SourceKind.UNKNOWN  # NUL bytes after the text, at once
-    with path.open("r+b") as stream:
-        stream.write(b'{"landmarks": [' + b" " * 2**14)
-    assert recognise_source(path) is SourceKind.KEYPOINTS
-
-
 def test_the_files_of_a_take_are_sorted_in_any_order(tmp_path: Path) -> None:
     for name in ("a.mp4", "f.json", "k.yml", "n.csv"):
         (tmp_path / name).write_bytes(OF_ONE_FILE[name][0])

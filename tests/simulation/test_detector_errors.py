@@ -129,14 +129,6 @@ def test_coloured_errors_have_the_correlation_times_of_the_table(coloured: Array
         assert measured == pytest.approx(expected, abs=0.1), lag
 
 
-def test_errors_of_shoulders_and_hips_are_correlated_as_in_the_table(coloured: Array) -> None:
-    own = (2 * TABLE.points_of(["shoulder", "hip"])[:, None] + [0, 1]).ravel()
-    C = dense(TABLE.coloured, 0)[np.ix_(own, own)]
-    expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    assert np.abs(expected - np.eye(8)).max() > 0.5
-    np.testing.assert_allclose(np.corrcoef(coloured.reshape(-1, 66)[:, own].T), expected, atol=0.2)
-
-
 def test_a_body_in_profile_hides_its_other_side_which_errs_more_and_is_less_visible() -> None:
     def hidden(camera: Camera) -> NDArray[np.bool_]:
         p = camera.to_camera(STANDING.p_world_joint[:1])
@@ -167,18 +159,6 @@ def test_left_and_right_are_exchanged_in_profile_only_as_often_as_in_the_table()
     apart = np.linalg.norm(exact - exact[:, TABLE.mirror], axis=-1)[0, legs].mean() * depth
     expected = 100 * (0.06 + np.exp(-max(apart - 60, 0) / 60))
     assert starts / minutes == pytest.approx(expected, rel=0.25)
-
-
-def test_limbs_jump_and_the_person_is_lost_for_some_frames() -> None:
-    exact = found(NONE)[0]
-    jumped = np.mean([np.abs(found(replace(NONE, jumps=1.0), seed=s)[0] - exact) > 1e-6 for s in range(6)], (0, 1, 3))
-    assert 0.01 < jumped[point("left_wrist")] < 0.04
-    assert jumped[TABLE.points_of(["face", "shoulder", "hip"])].max() == 0
-    aside = Camera.looking_at(FRONT.center_world, HIPS + 2.7 * UP, 1250.0)
-    uv, visibility = found(DetectorErrors(), camera=aside)
-    lost = np.isnan(uv).all(axis=(1, 2))
-    assert lost.mean() > 0.5
-    assert np.all(visibility[lost] == 0)
 
 
 def test_the_camera_stands_a_little_differently_from_what_is_said() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from rtof_kin.body.kinematics import children_of, world_rotations
+from rtof_kin.body.kinematics import world_rotations
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -22,7 +22,6 @@ from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuCalibration, Im
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 LIMBS = ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
@@ -258,80 +257,3 @@ def mpjpe_mm(p: Array, p_true: Array) -> float:
 def root_relative_mm(p: Array, p_true: Array) -> float:
     """The same relative to the first joint."""
     return mpjpe_mm(p - p[:, :1], p_true - p_true[:, :1])
-
-
-def documented_residuals(
-    X: Array,
-    start: PoseSequence,
-    seen: KeypointSequence,
-    imus: BoneImuSequence | None,
-    skeleton: SkeletonModel,
-    settings: CartesianSettings,
-    frames: int,
-    sigma_px: float,
-) -> dict[str, Array]:
-    """The energy of `rtof_kin.solve.cartesian.problem` in plain NumPy: a term is the sum of these squared.
-
-    Each term is k times the mean of its squared whitened residuals over what was observed; the prior's
-    mean is over all N frames of the fragment, of which those in the padding stay at the start.
-
-    Args:
-        X, start: (T, J, 3) m, the frames of one fragment inside the recording. seen, imus: at the same
-            times. frames: N. sigma_px: of the reprojection error.
-    """
-    s, rate = settings, start.rate_hz
-    bones = [(parent, child) for child, parent in enumerate(skeleton.parents) if parent >= 0]
-    siblings = [(a, b) for p, a in bones for q, b in bones if p == q and a < b]
-    acceleration, bone = _inertial_residuals(X, imus, skeleton, rate)
-    (a, b), offsets = np.array(bones + siblings).T, skeleton.joint_offsets
-    spans = [offsets[child] for _, child in bones] + [offsets[b] - offsets[a] for a, b in siblings]
-    length = np.linalg.norm(X[:, b] - X[:, a], axis=-1) - np.linalg.norm(spans, axis=-1)
-    D, sigma = start.p_world_joint, s.sigma_prior_bone
-    prior = [(X - D) / s.sigma_prior]
-    if s.prior == "bones":
-        prior = [prior[0][:, 0]] + [(X[:, c] - X[:, p] - D[:, c] + D[:, p]) / sigma for p, c in bones]
-
-    def mean(k: float, residuals: Array) -> Array:
-        residuals = residuals[np.isfinite(residuals)]
-        return np.asarray(residuals * np.sqrt(k / max(residuals.size, 1)))
-
-    return {
-        "visual": mean(s.k_V, _visual_residuals(X, seen, sigma_px, s.huber_reprojection)),
-        "acceleration": mean(s.k_I * s.k_A, acceleration / s.sigma_acceleration),
-        "bone": mean(s.k_I * s.k_B, bone / s.sigma_bone),
-        "smooth": mean(s.k_I * s.k_S, np.diff(X, n=3, axis=0) * rate**3 / s.sigma_jerk),
-        "length": mean(s.bone_lengths == "weighted", length / s.sigma_length),
-        "prior": np.concatenate([r.ravel() for r in prior]) / np.sqrt(frames * X[0].size),
-    }
-
-
-def _visual_residuals(X: Array, seen: KeypointSequence, sigma_px: float, huber: float | None) -> Array:
-    """(T, J, 2) of undistorted pixels, weighted by confidence and the robust loss; NaN where unseen."""
-    pinhole = seen.camera.undistorted()
-    uv = pinhole.project(seen.camera.rays_world(seen.uv_px) + pinhole.center_world)
-    r = (pinhole.project(X) - uv) / sigma_px
-    if huber is not None:
-        squared, d2 = np.sum(r**2, axis=-1, keepdims=True), huber**2
-        loss = 2 * d2 * (np.sqrt(1 + squared / d2) - 1)
-        r = r * np.sqrt(loss / np.maximum(squared, 1e-30))
-    return np.asarray(r * np.sqrt(seen.confidence)[..., None])
-
-
-def _inertial_residuals(
-    X: Array, imus: BoneImuSequence | None, skeleton: SkeletonModel, rate_hz: float
-) -> tuple[Array, Array]:
-    """Of every bone with a sensor: m/s^2 at the sensor's own place, and m; NaN where unknown."""
-    accelerations, bones = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for k, name in enumerate(imus.joints if imus is not None else ()):
-        assert imus is not None
-        (j,) = skeleton.index(name)
-        R = imus.R_world_bone[:, k]
-        for child in children_of(skeleton.parents, j):
-            rest = skeleton.joint_offsets[child]
-            share = np.clip(imus.p_bone_sensor[k] @ rest / (rest @ rest), 0, 1)
-            on_bone = (1 - share) * X[:, j] + share * X[:, child]
-            sensor = on_bone + R @ (imus.p_bone_sensor[k] - share * rest)
-            measured = imus.a_world[1:-1, k]
-            accelerations.append(np.diff(sensor, n=2, axis=0) * rate_hz**2 - measured)
-            bones.append(X[:, child] - X[:, j] - R @ rest)
-    return np.concatenate(accelerations), np.concatenate(bones)

@@ -35,13 +35,8 @@ _MOST_MEMBERS: Final = 10_000
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
-    """Check that an archive does not exhaust the memory.
-
-    Args:
-        limit: of their sizes, bytes.
-
-    Raises:
-        FileFormatError: it is too large, or large and compressed beyond any recording.
+    """Raise `FileFormatError` for an archive of more than `limit` bytes, or large and compressed beyond any
+    recording.
     """
     full = sum(member.file_size for member in members)
     if full > limit:
@@ -50,33 +45,24 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
 
 
 def check_ratio(path: Path, full: int, packed: int) -> None:
-    """Raise `FileFormatError` for what is large and compressed beyond any recording.
-
-    Args:
-        full, packed: bytes of memory and of the file.
-    """
+    """Raise `FileFormatError` for what is large and compressed beyond any recording; sizes in bytes."""
     if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
         raise FileFormatError(path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened")
 
 
 def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Return the members of an archive of arrays by the name of the array.
-
-    Raises:
-        FileFormatError: an array twice, of which readers differ in the one they take; or too many.
+    """Return the members of an archive of arrays by the name of the array; `FileFormatError` for an array twice, of
+    which readers differ in the one they take, or too many.
     """
     members = archive.infolist()
-    _check_number(path, len(members))
+    number = len(members)
+    if number > _MOST_MEMBERS:
+        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
     found = {member.filename.removesuffix(".npy"): member for member in members}
     if len(found) < len(members):
         names = Counter(member.filename.removesuffix(".npy") for member in members)
         raise FileFormatError(path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened")
     return found
-
-
-def _check_number(path: Path, number: int) -> None:
-    if number > _MOST_MEMBERS:
-        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
 
 
 LARGEST_BYTES = 4 * 2**30
@@ -87,13 +73,8 @@ _CSV = "a CSV file; its first line names the columns"
 
 
 def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | None = None) -> dict[str, Array]:
-    """Return arrays of an .npz file as float64, by name.
-
-    Args:
-        limit: largest total size of the arrays, bytes. names: of the arrays; None: all.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or numbers of another type or magnitude.
+    """Return arrays of an .npz file, all or the named ones, as float64, by name; `FileFormatError` where there is no
+    such file, or it is damaged, larger than `limit` bytes, or has numbers of another type or magnitude.
     """
     saved = read_npz_as_saved(path, limit, names=names)
     return {name: _as_floats(path, name, array) for name, array in saved.items()}
@@ -102,14 +83,8 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | No
 def read_npz_as_saved(
     path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub", names: Collection[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays of an .npz file, read-only, in their own types, by name.
-
-    Args:
-        limit: largest total size of the arrays, bytes. kinds: allowed types, by NumPy's letters; U is text.
-        names: of the arrays; None: all.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or an array of another kind.
+    """Return arrays of an .npz file, all or the named ones, read-only, in their own types, by name; errors as
+    `read_npz`, also for other kinds than those allowed, by NumPy's letters; U is text.
     """
     arrays: dict[str, NDArray[Any]] = {}
     with _open_npz(path) as archive:
@@ -124,21 +99,13 @@ def read_npz_as_saved(
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an .npz file without reading them.
-
-    Raises:
-        FileFormatError: no such file, or not an archive.
-    """
+    """Return the names of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
     with _open_npz(path) as archive:
         return tuple(array_members(path, archive))
 
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays in an .npz file without reading them.
-
-    Raises:
-        FileFormatError: no such file, or not an archive of arrays.
-    """
+    """Return the shapes of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
     shapes = {}
     with _open_npz(path) as archive:
         for name, member in array_members(path, archive).items():
@@ -148,10 +115,8 @@ def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
 
 
 def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
-    """Yield an array of an .npz file as float64 by so many rows at a time; one in Fortran order as a whole.
-
-    Raises:
-        FileFormatError: see `read_npz`.
+    """Yield an array of an .npz file as float64 by so many rows at a time, one in Fortran order as a whole; errors as
+    `read_npz`.
     """
     with _open_npz(path) as archive:
         members = array_members(path, archive)
@@ -181,14 +146,7 @@ def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
-    """Return the array of an .npy file as float64.
-
-    Args:
-        limit: largest size, bytes.
-
-    Raises:
-        FileFormatError: see `read_npz`.
-    """
+    """Return the array of an .npy file of at most `limit` bytes as float64; errors as `read_npz`."""
     try:
         check_file(path, "an array", limit)
         with path.open("rb") as stream:
@@ -199,11 +157,7 @@ def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
 
 
 def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read the header of an .npy array: shape, whether in Fortran order, and type.
-
-    Raises:
-        ValueError: there is no array.
-    """
+    """Read the header of an .npy array: shape, whether in Fortran order, and type; ValueError without an array."""
     try:
         version = np.lib.format.read_magic(stream)
         reader: Any = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[
@@ -264,11 +218,7 @@ def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
-    """Write arrays to a compressed .npz file.
-
-    Raises:
-        OutputExistsError: it exists. WritingError: it cannot be written.
-    """
+    """Write arrays to a compressed .npz file; errors as `core.files.folder.new_file`."""
     contents: dict[str, Any] = dict(arrays)
     with new_file(path, overwrite) as whole, whole.open("wb") as stream:
         np.savez_compressed(stream, **contents)
@@ -276,9 +226,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 
 def read_csv(path: Path) -> dict[str, Array]:
     """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
-
-    Raises:
-        FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
+    `FileFormatError`: no such file, no header, a line of another length, a cell that is not a number.
     """
     text = read_text(path, _CSV, _LARGEST_CSV)
     (columns,) = _tables(path, io.StringIO(text, newline=""), None)
@@ -286,10 +234,8 @@ def read_csv(path: Path) -> dict[str, Array]:
 
 
 def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
-    """Yield the columns that `read_csv` returns by blocks of rows, at least one block.
-
-    Raises:
-        FileFormatError: see `read_csv`.
+    """Yield the columns that `read_csv` returns by blocks of rows, at least one block; errors are those of
+    `read_csv`.
     """
     try:
         check_file(path, _CSV)
@@ -358,14 +304,7 @@ class ScratchArrays:
         self._files: dict[str, IO[bytes]] = {}
 
     def append(self, arrays: Mapping[str, Array]) -> None:
-        """Write further rows.
-
-        Args:
-            arrays: (n, ...) float64 by name.
-
-        Raises:
-            WritingError: they cannot be written.
-        """
+        """Write further rows (n, ...) float64 by name; `WritingError` where they cannot be written."""
         try:
             for name, array in arrays.items():
                 if name not in self._files:

@@ -62,10 +62,8 @@ def _system() -> str:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new folder, of this user alone, that is removed when the block ends; see `clear`.
-
-    Raises:
-        OSError: it cannot be created.
+    """Yield a new folder, of this user alone, that is removed when the block ends, see `clear`; OSError if
+    impossible.
     """
     remove_leftovers(parent)
     while True:
@@ -111,11 +109,7 @@ def clear(folder: Path) -> None:
 
 
 def remove_leftovers(parent: Path) -> None:
-    """Remove temporary folders of killed processes.
-
-    Args:
-        parent: their parent folder, which need not exist.
-    """
+    """Remove temporary folders of killed processes from their parent folder, which need not exist."""
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             found = _OWN.fullmatch(entry.name)
@@ -194,13 +188,9 @@ def new_folder(
 
 
 def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) -> None:
-    """Check that an output folder may be written. Long computations check before they start.
-
-    An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if it contains
-    only unchanged files of this package (see `core.files.manifest`).
-
-    Raises:
-        OutputExistsError: it may not be replaced. WritingError: its parent cannot be written.
+    """Check that an output folder may be written, else `OutputExistsError` or `WritingError`. Long computations check
+    before they start. An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if it
+    contains only unchanged files of this package (see `core.files.manifest`).
     """
     path = Path(path)
     _check_length(path)
@@ -336,14 +326,9 @@ def _beside(path: Path, what: str) -> Path:
 
 @contextmanager
 def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary file that is renamed to `path` when the block ends without an error.
-
-    Args:
-        path: final file; a link is followed. overwrite: replace an existing file.
-
-    Raises:
-        OutputExistsError: `path` exists, or appears meanwhile, and may not be replaced.
-        WritingError: it cannot be written.
+    """Yield a temporary file that is renamed to `path`, of which a link is followed, when the block ends without an
+    error; `OutputExistsError` where it exists, or appears meanwhile, and may not be replaced, `WritingError` where it
+    cannot be written.
     """
     check_new_file(path, overwrite)
     target = Path(os.path.realpath(path))
@@ -366,10 +351,8 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def check_new_file(path: str | Path, overwrite: bool) -> None:
-    """Check that an output file may be written.
-
-    Raises:
-        OutputExistsError: it exists. WritingError: its folder cannot be written.
+    """Check that an output file may be written: `OutputExistsError` where it exists, `WritingError` where its folder
+    cannot be.
     """
     path = Path(path)
     _check_length(path)
@@ -398,10 +381,8 @@ def _put_file(new: Path, path: Path, overwrite: bool) -> None:
 
 @contextmanager
 def only_one(lock: Path, what: str) -> Iterator[None]:
-    """Hold a lock while the block runs.
-
-    Raises:
-        OutputExistsError: another process holds it; the message names it. WritingError: it cannot be made.
+    """Hold a lock while the block runs; `OutputExistsError`, which names the process, where another one holds it,
+    `WritingError` where it cannot be made.
     """
     try:
         held = FileLock(lock, timeout=0).acquire()

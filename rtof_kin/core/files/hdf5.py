@@ -30,16 +30,15 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits."""
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
+
+    The zero bytes of numbers with no more digits than needed vanish in a compressed file.
+    """
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 
 def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
-    """Return 32-bit floats with a shorter mantissa: a relative error of at most ``2^-(bits + 1)``.
-
-    Args:
-        values: of any shape. bits: of the mantissa, 22 or fewer.
-    """
+    """Return 32-bit floats with a mantissa of at most 22 bits: a relative error of at most ``2^-(bits + 1)``."""
     exact = np.array(values, dtype=np.float32)
     cut = _MANTISSA - bits
     whole = exact.view(np.uint32)
@@ -48,10 +47,8 @@ def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
 
 
 def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
-    """Return rotation vectors (..., 3), rad, shorter than quaternions; NaN where a matrix is not finite.
-
-    Args:
-        R: rotation matrices (..., 3, 3).
+    """Return the rotation vectors (..., 3), rad, of matrices (..., 3, 3), shorter than quaternions; NaN where not
+    finite.
     """
     return multiples(so3.known_log(R), bits).astype(np.float32)
 
@@ -97,20 +94,12 @@ class Hdf5Writer:
     """An HDF5 file that appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: Path, about: Mapping[str, Mapping[str, str]], overwrite: bool = True):
-        """Write nothing yet.
-
-        Args:
-            about: name of an array, or its end -> attributes, e.g. unit, frame and shape.
-        """
+        """Write nothing yet; `about` has attributes by the name of an array, or its end, e.g. unit, frame and shape."""
         self._path, self._about, self._overwrite = path, about, overwrite
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the file.
-
-        Raises:
-            OutputExistsError: the file exists. WritingError: it cannot be written.
-        """
+        """Open the file; raise `OutputExistsError` where it exists, `WritingError` where it cannot be written."""
         with ExitStack() as failed:
             target = failed.enter_context(new_file(self._path, self._overwrite))
             self._stream = failed.enter_context(_Stream(target, "w+"))
@@ -165,11 +154,7 @@ class Hdf5Writer:
             raise self._stream.problem
 
     def add(self, name: str, array: NDArray[Any]) -> None:
-        """Write a whole array.
-
-        Raises:
-            InvalidInputError: the name exists. OSError: see `append`.
-        """
+        """Write a whole array; a name that exists raises `InvalidInputError`, for OSError see `append`."""
         if name in self._file:
             raise InvalidInputError(f"{self._path}: {name} was already written")
         self._create(name, array, array.shape, array.shape)[...] = array
@@ -209,10 +194,8 @@ class ArrayFile:
     """
 
     def __init__(self, path: Path):
-        """Open the file; an .npz is read whole.
-
-        Raises:
-            FileFormatError: no such file, damaged, too large, or anything else than arrays of numbers in it.
+        """Open the file; an .npz is read whole. `FileFormatError`: no such file, damaged, too large, or anything else
+        than arrays of numbers in it.
         """
         self.path = path
         self._arrays: dict[str, Any] = {}
@@ -249,10 +232,8 @@ class ArrayFile:
             self._file.close()
 
     def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
-        """Return rows of an array.
-
-        Raises:
-            KeyError: there is no such array. FileFormatError: damaged, or a number beyond any measurement.
+        """Return rows of an array; KeyError where there is no such array, `FileFormatError` where it is damaged or has
+        a number beyond any measurement.
         """
         array = self._arrays[name]
         with self._reading(name):
@@ -262,22 +243,14 @@ class ArrayFile:
         return found
 
     def whole(self, name: str) -> NDArray[Any]:
-        """Return an array of at most 512 MiB.
-
-        Raises:
-            KeyError: there is no such array. FileFormatError: see `rows`, or it is larger.
-        """
+        """Return an array of at most 512 MiB; a larger one is a `FileFormatError`, else errors as `rows`."""
         array = self._arrays[name]
         if array.size * array.dtype.itemsize > _LARGEST_WHOLE:
             raise FileFormatError(self.path, f"{name}: larger than {_LARGEST_WHOLE / 2**20:.0f} MiB")
         return self.rows(name, 0, len(array))
 
     def text(self, name: str) -> str:
-        """Return a text of `Hdf5Writer.add_text`, or of an .npz file.
-
-        Raises:
-            KeyError: there is none. FileFormatError: see `whole`.
-        """
+        """Return a text of `Hdf5Writer.add_text`, or of an .npz file; errors as `whole`."""
         if name in self.attributes:
             return str(self.attributes[name])
         return self.whole(name).tobytes().decode()
@@ -321,10 +294,8 @@ class ArrayFile:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return all arrays and attributes of an .h5 or .npz file of results, by name, the same of either.
-
-    Raises:
-        FileFormatError: see `ArrayFile`.
+    """Return all arrays and attributes of an .h5 or .npz file of results, by name, the same of either; see
+    `ArrayFile`.
     """
     with ArrayFile(path) as file:
         arrays = file.attributes | {name: file.whole(name) for name in file.shapes}

@@ -187,24 +187,14 @@ class InputTable(BaseModel):
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a TOML file.
-
-        Raises:
-            FileFormatError, UnknownNameError: it does not exist, is not TOML or has something wrong; the message names
-                file, field and remedy.
+        """Read a TOML file; `FileFormatError` or `UnknownNameError`, which names file, field and remedy, where it does
+        not exist, is not TOML or has something wrong.
         """
         return cls.of(load_toml(path), Path(path))
 
     @classmethod
     def of(cls, data: Any, path: Path, name: str = "") -> Self:
-        """Make a table of plain data.
-
-        Args:
-            path: file, for messages. name: of the table in the file; '' for the top level.
-
-        Raises:
-            FileFormatError, UnknownNameError: as for `read`.
-        """
+        """Make a table of plain data, whose name in the file is '' at the top level; errors as `read`."""
         try:
             table = cls.model_validate(data)
         except ValidationError as error:

@@ -33,11 +33,8 @@ class Contents:
 def write_manifest(
     folder: Path, kind: str, inputs: Mapping[str, str] | None = None, paths: Iterable[Path] | None = None
 ) -> None:
-    """Sync all files of a new folder, of this user alone, to the disk and list them in its manifest.
-
-    Args:
-        folder: contains only files of this package.
-        paths: files to list in a folder that contains others too; None: everything in it.
+    """Sync all files of a new folder, of this user alone and of this package, to the disk and list them in its
+    manifest; in a folder that contains others too, those of `paths`.
     """
     files = {}
     for path in sorted(folder.rglob("*") if paths is None else paths):
@@ -55,11 +52,7 @@ def write_manifest(
 
 
 def read_contents(folder: Path) -> Contents:
-    """Compare a folder with its manifest; links are not followed.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
+    """Compare a folder with its manifest; links are not followed. A file that cannot be read raises OSError."""
     kind, files = _read_manifest(folder / MANIFEST)
     folders = {str(parent) for name in files for parent in Path(name).parents}
     own: list[Path] = []
@@ -98,13 +91,8 @@ def made_from(folder: Path) -> dict[str, str]:
 
 
 def fingerprint(*parts: object) -> str:
-    """Return a SHA-256 of files, of folders with all their files, and of other values by their text.
-
-    Args:
-        parts: a `Path` stands for its contents, without the manifest.
-
-    Raises:
-        OSError: a file cannot be read.
+    """Return a SHA-256 of files and folders (`Path`, with all contents but manifests), and of other values by their
+    text; OSError where a file cannot be read.
     """
     whole = hashlib.sha256()
     for part in parts:
@@ -138,24 +126,15 @@ def make_private(path: Path) -> None:
 
 
 def make_folders(path: Path) -> None:
-    """Make a folder and its parents, of this user alone; those that exist stay as they are.
-
-    Raises:
-        OSError: it cannot be made.
-    """
+    """Make a folder and its parents, of this user alone (OSError if impossible); those that exist stay as they are."""
     if not path.is_dir():
         make_folders(path.parent)
         path.mkdir(mode=0o700, exist_ok=True)
 
 
 def sync(path: Path) -> None:
-    """Sync a file or folder to the disk.
-
-    Args:
-        path: file or folder; a folder is skipped where the system cannot sync it.
-
-    Raises:
-        OSError: it cannot be written, e.g. the disk is full.
+    """Sync a file or folder to the disk (OSError, e.g. if full); a folder is skipped where the system cannot sync
+    it.
     """
     folder = path.is_dir()
     with suppress(OSError) if folder else nullcontext():  # Windows does not open folders

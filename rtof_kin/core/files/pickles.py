@@ -81,13 +81,8 @@ class _PlainUnpickler(pickle._Unpickler):  # the one written in Python: no index
 
 
 def read_pickle(path: str | Path, limit: int = 2**26) -> Any:
-    """Read a pickle of dictionaries, lists, text, numbers and arrays; nothing in the file is executed.
-
-    Args:
-        limit: largest size, bytes.
-
-    Raises:
-        FileFormatError: no such file, damaged, too large, or it names or holds anything else.
+    """Read a pickle of dictionaries, lists, text, numbers and arrays, of at most `limit` bytes; nothing is executed.
+    `FileFormatError`: no such file, damaged, too large, or it names or holds anything else.
     """
     path = Path(path)
     check_file(path, "a pickle of plain data", limit)
@@ -95,13 +90,8 @@ def read_pickle(path: str | Path, limit: int = 2**26) -> Any:
 
 
 def read_object_npz(path: Path, names: tuple[str, ...], limit: int = LARGEST_BYTES) -> list[Any]:
-    """Read members of an .npz file that NumPy saved as pickles of one object; nothing in them is executed.
-
-    Args:
-        limit: largest sum of their sizes, bytes.
-
-    Raises:
-        FileFormatError: no such file or member, damaged, too large, or a pickle that names anything else.
+    """Read members, of at most `limit` bytes in all, that NumPy saved as pickles of one object; nothing is executed.
+    `FileFormatError`: no such file or member, damaged, too large, or a pickle that names anything else.
     """
     check_file(path, "an NPZ archive")
     try:

@@ -26,13 +26,8 @@ LARGEST_NUMBER = 1e20
 
 
 def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
-    """Check that a path is a regular file, not a folder, device or pipe.
-
-    Args:
-        what: as for `read_text`. limit: largest size, bytes.
-
-    Raises:
-        FileFormatError: it does not exist, is of another kind or larger. OSError: it is not accessible.
+    """Check that a path is a regular file of at most `limit` bytes, not a folder, device or pipe, else
+    `FileFormatError`; OSError where it is not accessible. `what`: see `read_text`.
     """
     path = Path(path)
     if not path.is_file():
@@ -43,14 +38,9 @@ def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
 
 
 def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
-    """Return the text of a UTF-8 file without byte order mark.
-
-    Args:
-        limit: largest size, bytes.
-        what: expected contents, for the error message, e.g. "a BVH file, which begins with HIERARCHY".
-
-    Raises:
-        FileFormatError: it does not exist, is unreadable, too large, not UTF-8 or empty.
+    """Return the text of a UTF-8 file of at most `limit` bytes without byte order mark. `FileFormatError`, with what
+    was expected, e.g. "a BVH file, which begins with HIERARCHY": it does not exist, is unreadable, too large, not UTF-8
+    or empty.
     """
     path = Path(path)
     try:
@@ -66,11 +56,7 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Return the contents of a TOML file.
-
-    Raises:
-        FileFormatError: see `read_text`, or not TOML.
-    """
+    """Return the contents of a TOML file; `FileFormatError` as for `read_text`, or where it is not TOML."""
     text = read_text(path, "TOML", LARGEST_TOML)
     if max(part.count(".") for part in _BETWEEN_KEYS.split(text)) > _MOST_DOTS:
         raise FileFormatError(path, f"a key of more than {_MOST_DOTS} parts")
@@ -81,11 +67,7 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 
 def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -> Any:
-    """Return the contents of a JSON file.
-
-    Raises:
-        FileFormatError: see `read_text`, or not JSON.
-    """
+    """Return the contents of a JSON file; `FileFormatError` as for `read_text`, or where it is not JSON."""
     text = read_text(path, what, limit)
     try:
         return json.loads(text)
@@ -102,10 +84,6 @@ def measurable(array: Array) -> bool:
 
 
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
-    """Write a UTF-8 file atomically.
-
-    Raises:
-        OutputExistsError: it exists. WritingError: it cannot be written.
-    """
+    """Write a UTF-8 file atomically; `OutputExistsError` where it exists, `WritingError` where it cannot be written."""
     with new_file(path, overwrite) as file:
         file.write_text(text, encoding="utf-8", newline="\n")

@@ -35,10 +35,8 @@ class Factor:
     """The `Store` whose code made it, and all of its numbers."""
 
     def solve(self, right: Array) -> Array:
-        """Return the solution in the shape of the right-hand side, n numbers in any shape.
-
-        Raises:
-            SolverError: `right` has another size.
+        """Return the solution in the shape of the right-hand side, n numbers in any shape; another size raises
+        `SolverError`.
         """
         if right.size != self.band.shape[1]:
             raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
@@ -51,11 +49,7 @@ class Factor:
         return np.asarray(x.reshape(right.shape))
 
     def forward_columns(self, right: Array) -> Array:
-        """Return the inverse of the factor L times right-hand sides (n, k): half of a solution.
-
-        Raises:
-            SolverError: `right` has another number of rows.
-        """
+        """Return the inverse of the factor L times right-hand sides (n, k), else `SolverError`: half of a solution."""
         if right.ndim != 2 or len(right) != self.band.shape[1]:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
         if right.size == 0:
@@ -69,13 +63,8 @@ class Factor:
         return np.asarray(x)
 
     def blocks(self, size: int, lags: int) -> Array:
-        """Return the blocks (N, lags, size, size) of the factor L; L L^T is the matrix.
-
-        Args:
-            lags: a block is coupled with the next lags - 1.
-
-        Returns:
-            Element [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
+        """Return the blocks (N, lags, size, size) of the factor L, where L L^T is the matrix and a block is coupled
+        with the next lags - 1: [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
         """
         width, unknowns = self.band.shape
         band, frames = width - 1, unknowns // size
@@ -114,13 +103,8 @@ def inverse_diagonal(factor: Array) -> Array:
 
 
 def factorise(band: Array) -> Factor:
-    """Factorise a positive definite matrix.
-
-    Args:
-        band: (n, w), row c is column c of the matrix from its diagonal downwards; it is overwritten.
-
-    Raises:
-        SolverError: the matrix is not positive definite.
+    """Factorise a positive definite matrix (n, w), else `SolverError`, in place; row c is column c from its diagonal
+    down.
     """
     factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
     if info or not np.isfinite(factor[0]).all():
@@ -138,10 +122,8 @@ class Store:
     """
 
     def __init__(self, size: int, band: int, compiled: bool = True) -> None:
-        """Allocate a matrix of `size` unknowns with `band` diagonals below the main one.
-
-        Args:
-            compiled: whether it is factorised by compiled code where there is any.
+        """Allocate a matrix of `size` unknowns with `band` diagonals below the main one, for compiled code where there
+        is any.
         """
         self._code: Any = _code() if compiled else None
         self.size, self.band = size, band
@@ -155,11 +137,7 @@ class Store:
         self.entries, self._padding = rows[:size], band + tile
 
     def factorise(self, damping: float) -> Factor:
-        """Factorise the matrix, which is kept.
-
-        Raises:
-            SolverError: it is not positive definite.
-        """
+        """Factorise the matrix, which is kept; one that is not positive definite raises `SolverError`."""
         if self._code is None:
             band = self.entries[:, : self.band + 1].copy()
             band[:, 0] += damping

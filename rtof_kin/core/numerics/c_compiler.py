@@ -66,10 +66,8 @@ def kept(library: Path, source: str) -> bool:
 
 
 def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bool = False) -> None:
-    """Build a library and its record, unless another process has done so meanwhile.
-
-    Args:
-        again: build it even if it matches its record.
+    """Build a library and its record, unless another process has done so meanwhile; `again`: even if it matches its
+    record.
     """
     with _locked(library):
         if kept(library, origin.source) and not again:

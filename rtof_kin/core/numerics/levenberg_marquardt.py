@@ -245,11 +245,7 @@ class LevenbergMarquardt:
         return float(energy - 0.5 / STIFFNESS * np.vdot(m, m))
 
     def linearise(self, x: Array, m: Array) -> Array:
-        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
-
-        Args:
-            x: (N, ...) state. m: (N, M) multipliers.
-        """
+        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian."""
         _, gradient = self.problem.linearise(x)
         if (pushed := self._pushed(x, m)) is None:
             return gradient
@@ -266,10 +262,9 @@ class LevenbergMarquardt:
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
-        """Return updated multipliers, and the largest violation of a limit or of complementarity, rad.
-
-        A multiplier changes by the stiffness times the violation of its limit, or times the slack of an inactive limit
-        with a multiplier.
+        """Return updated multipliers, and the largest violation of a limit or of complementarity, rad. A multiplier
+        changes by the stiffness times the violation of its limit, or times the slack of an inactive limit with a
+        multiplier.
         """
         pushed = self._pushed(x, m)
         new = np.zeros_like(m) if pushed is None else STIFFNESS * pushed

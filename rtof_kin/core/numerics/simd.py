@@ -182,11 +182,7 @@ def whole(frames: int) -> int:
 
 
 def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any]:
-    """Compile functions together, or load them from the cache, by name; none if impossible.
-
-    Args:
-        functions: to be compiled; see `c_compiler.built`.
-    """
+    """Compile functions together, or load them from the cache, by name; none if impossible, see `c_compiler.built`."""
 
     def loaded(library: Path) -> dict[str, Any]:
         opened = ctypes.CDLL(str(library))

@@ -109,9 +109,7 @@ ADDED: Final = Extensions("rtof_kin.sensor_formats", Format, lambda form: form.t
 
 def formats() -> tuple[Format, ...]:
     """Return all formats, those added before the built-in ones; a file is of the first that recognises it.
-
-    Raises:
-        ExtensionError: that of an installed package cannot be loaded.
+    `ExtensionError` where that of an installed package cannot be loaded.
     """
     return (*ADDED.all(), *FORMATS)
 
@@ -194,10 +192,8 @@ def _names(paths: Sequence[Path]) -> str:
 
 
 def format_of(path: Path) -> Format | None:
-    """Return the format of a file by the text that it begins with; None where it is none of them.
-
-    Raises:
-        FileFormatError: there is no such file, or it cannot be read.
+    """Return the format of a file by the text that it begins with; None where it is none of them, `FileFormatError`
+    where it cannot be read.
     """
     try:
         with path.open("rb") as stream:

@@ -54,12 +54,9 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
 
 
 def matlab_variables(path: Path) -> dict[str, Any]:
-    """Load all variables of a MATLAB file (v5 to v7) after summing their uncompressed sizes.
-
-    Structs are `scipy.io.matlab.mat_struct` in arrays of objects. Nothing in the file is executed.
-
-    Raises:
-        FileFormatError: no such file, of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
+    """Load all variables of a MATLAB file (v5 to v7) after summing their uncompressed sizes. Structs are
+    `scipy.io.matlab.mat_struct` in arrays of objects. Nothing in the file is executed. `FileFormatError`: no such file,
+    of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
     """
     try:
         with path.open("rb") as stream:

@@ -119,11 +119,9 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
 
 
 def read_mvnx_file(path: Path) -> Mvnx:
-    """Read sensors, segments and calibration poses of a file, in MVN's own frames.
-
-    Raises:
-        FileFormatError: no such file, too large, broken XML, entities or a document type (not written by
-            MVN, and usable to fill the memory), no frame, or invalid numbers.
+    """Read sensors, segments and calibration poses of a file, in MVN's own frames. `FileFormatError`: no such file, too
+    large, broken XML, entities or a document type (not written by MVN, and usable to fill the memory), no frame, or
+    invalid numbers.
     """
     content = _Content(path)
     try:

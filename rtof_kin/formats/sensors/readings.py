@@ -44,14 +44,8 @@ class Packets:
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
-    """Sort packets by a counter that wraps.
-
-    Args:
-        counters: (N,) as in the file. lines: (N,) their lines.
-        wrap: the first number that the counter cannot show, e.g. 2**16. what: the counter's name in the file.
-
-    Raises:
-        FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
+    """Sort packets by a counter (N,) that wraps: `wrap` is the first number that it cannot show, e.g. 2**16.
+    `FileFormatError`, which names line and counter: no whole number, out of range, not counting, or restarted.
     """
     wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
     if wrong.any():
@@ -93,10 +87,8 @@ def _counted(number: int, noun: str) -> str:
 
 
 def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
-    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods.
-
-    Args:
-        times: (T,) s; no sentence where they do not increase. rate_hz: by default from the median step.
+    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods (by default the median step);
+    none where times (T,), s, do not increase.
     """
     steps = np.diff(times)
     if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
@@ -113,11 +105,8 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
 
 
 def aligned(first: Sequence[int], wrap: int) -> list[int]:
-    """Return what to add to each sensor's counts so that all begin within half a wrap of the first one.
-
-    Args:
-        first: count of each sensor's first packet; in one trial one may have 65535 and another 0.
-        wrap: the first number that the counters cannot show.
+    """Return what to add to each sensor's counts, which wrap at `wrap`, so that all begin within half a wrap of the
+    first packet of the first one; in one trial one may have 65535 and another 0.
     """
     return [wrap * round((first[0] - one) / wrap) for one in first]
 

@@ -53,10 +53,8 @@ _SHORTEST_END: Final = 3
 
 
 def read_sensor_map(path: str | Path) -> dict[str, str]:
-    """Read the place of each sensor.
-
-    Raises:
-        FileFormatError: unreadable, a line without two columns, or a sensor or place twice; names the line.
+    """Read the place of each sensor; `FileFormatError`, which names the line: unreadable, a line without two columns,
+    or a sensor or place twice.
     """
     path = Path(path)
     text = read_text(path, "a map of sensors", LARGEST_BYTES)
@@ -108,14 +106,9 @@ def _of_xml(path: Path, text: str) -> list[_Row]:
 
 
 def matched(places: Mapping[str, str], sensors: Sequence[str], path: str | Path | None = None) -> dict[str, str]:
-    """Return the place of each sensor of a trial that a map names.
-
-    Args:
-        places: by serial number, by its last characters, or by name.
-
-    Raises:
-        InvalidInputError: no sensor is named, one is named twice, or there are both sensors and lines of the
-            map left, so that one of them is probably misspelt.
+    """Return the place of each sensor of a trial that a map names by serial number, by its last characters, or by name.
+    `InvalidInputError`: no sensor is named, one is named twice, or there are both sensors and lines of the map left, so
+    that one of them is probably misspelt.
     """
     found: dict[str, str] = {}
     unused = []

@@ -59,13 +59,8 @@ class SensorTable:
 
 
 def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text file with their numbers from 1, one at a time.
-
-    Args:
-        limit: largest size, bytes.
-
-    Raises:
-        FileFormatError: no such file, too large, binary, not UTF-8, or a line too long.
+    """Yield the lines of a text file of at most `limit` bytes with their numbers from 1, one at a time.
+    `FileFormatError`: no such file, too large, binary, not UTF-8, or a line too long.
     """
     try:
         if path.stat().st_size > limit:
@@ -89,11 +84,7 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
 
 
 def cells(line: str, delimiter: str | None = None) -> list[str]:
-    """Split a line into cells without surrounding blanks.
-
-    Args:
-        delimiter: by default the most frequent of tab, semicolon, comma.
-    """
+    """Split a line into cells without surrounding blanks, by default at the most frequent of tab, semicolon, comma."""
     return [cell.strip() for cell in _split(line, delimiter or _delimiter(line))]
 
 

@@ -375,13 +375,8 @@ def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, 
 
 
 def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
-    """Write orientations R_inertial_sensor, z up, for OpenSim's OpenSense.
-
-    Args:
-        log: its sensors should have the names of their bodies (`SensorLog.renamed`).
-
-    Raises:
-        InvalidInputError: a sensor lacks orientation or was sampled at other times.
+    """Write orientations R_inertial_sensor, z up, for OpenSense, of sensors named as bodies (`SensorLog.renamed`).
+    `InvalidInputError`: a sensor lacks orientation or was sampled at other times.
     """
     times = log.streams[0].times
     columns = []
@@ -445,10 +440,8 @@ def _first_line(path: Path) -> str:
 
 
 def read_phone(paths: Sequence[Path]) -> SensorLog:
-    """Read gyroscope and, where there is one, accelerometer of a phone as the sensor *phone*.
-
-    Raises:
-        FileFormatError: no gyroscope, or damaged.
+    """Read gyroscope and, where there is one, accelerometer of a phone as the sensor *phone*; `FileFormatError` without
+    gyroscope, or where damaged.
     """
     found: dict[str, tuple[Array, Array]] = {}
     left: list[str] = []

@@ -1,0 +1,85 @@
+"""Settings of a recording that is set up and of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.lift import LifterLike
+
+
+@dataclass(frozen=True)
+class SetupSettings:
+    """What the user says about a take."""
+
+    height: float | None = None
+    """Standing height of the person, m; every length follows it."""
+    pose: Literal["N", "T", "seated"] = "N"
+    """How the person stood still at first, of sensors without a video."""
+    person: int | None = None
+    """Number of the person in frames.png; default: the only prominent one."""
+    camera_name: str | None = None
+    """Of the camera, in a calibration file of several."""
+    phone_log: Path | None = None
+    """Gyroscope and accelerometer of the phone that filmed by hand, from which its tilt is known."""
+    rate_hz: float | None = None
+    """Frames per second of keypoints without times."""
+    size_px: tuple[int, int] | None = None
+    """Width and height of the image, px, for keypoints without a video, as 1920x1080."""
+    keep_video: bool = True
+    """Whether the folder may show and name the video; otherwise the keypoints alone are kept."""
+    model_dir: Path | None = None
+    """Folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; default:
+    what is at hand, downloaded models, else MediaPipe."""
+    lifter: LifterLike | None = field(default=None, compare=False)
+    """Default: the shipped one."""
+
+    def __post_init__(self) -> None:
+        if self.height is not None and not 0.4 < self.height < 2.6:
+            raise InvalidInputError(f"--height {self.height:g}: is no human height in metres; give e.g. --height 1.72")
+
+
+@dataclass(frozen=True)
+class ReconstructionTask:
+    """How the recording of a folder is reconstructed, beside the settings of its stages."""
+
+    mode: Mode | None = None
+    """lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision only; rtof: everything;
+    imu: sensors only, without a camera; default: the one that uses all that was recorded."""
+    model: Path | None = None
+    """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
+    perfect."""
+    calibrate: bool = False
+    """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
+    calibration: Path | None = None
+    """Calibration of another recording of the same person: bones, ankles and landmark offsets are taken from it; with
+    calibrate delay, mounting and biases are estimated for this one."""
+    figures: bool = True
+    """Draw figures, where matplotlib is installed."""
+
+    def lifter(self) -> LifterLike | None:
+        """Load the model that is named; None for the shipped one."""
+        if self.model is None:
+            return None
+        from lifting.predict import Lifter
+
+        return Lifter.load(self.model)
+
+
+@dataclass(frozen=True)
+class SecondCamera:
+    """Files of a second camera that saw the same."""
+
+    second: tuple[Path, ...] = ()
+    """Video or keypoints of a second camera (or both) that saw the same; its location is found."""
+    second_person: int | None = None
+    """Number of the person in second/frames.png."""
+    second_camera: str | None = None
+    """Name of the second camera, in the calibration among the files."""
+    synchronised: bool = False
+    """Both cameras have one clock; default: it is found."""
