@@ -150,10 +150,7 @@ class Lifter:
     def lift_windows(
         self, source: Source, times: Array, bones: Array, height: float, flip: bool = True
     ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Estimate the poses at B times; what the model does not estimate is NaN.
-
-        Args:
-            times: (B,) s. bones: (3 G,) m, see `bones_of`. height: of the camera over the floor, m. Both may be NaN.
+        """Estimate the poses at B times, s; what the model does not estimate is NaN, as bones and height may be.
 
         Returns:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations (B, J, 3, 3) of the

@@ -116,14 +116,10 @@ class Source:
     def windows(
         self, times: Array, size: int, estimated: int, rate_hz: float, bones: Array, height: float, picture: bool = True
     ) -> Windows:
-        """Return the windows around B times.
+        """Return the windows around B times, s, of the estimated frames.
 
-        A landmark is interpolated between two frames where both saw it; before the first and after the
-        last frame, that frame is repeated.
-
-        Args:
-            times: (B,) of the estimated frames, s. size: frames per window. bones: (3 G,) see `Body.bones_of`.
-            height: of the camera over the floor, m. Both may be NaN.
+        A landmark is interpolated between two frames where both saw it; before the first and after the last frame, that
+        frame is repeated. Bones (3 G,), see `Body.bones_of`, and the camera's height over the floor, m, may be NaN.
         """
         at = times[:, None] + (np.arange(size) - estimated) / rate_hz
         instants = _Instants(self.times, at, near=0.1 / rate_hz)

@@ -48,11 +48,8 @@ class FewWindows:
     """Lifts of one person from one height of the camera."""
 
     def __init__(self, body: Body, network: TemporalNetwork, bones: Array, camera_height: float, flip: bool = True):
-        """Fuse the weights.
-
-        Args:
-            network: in evaluation mode, of the package's own model. bones: (3 G,) see `Body.bones_of`, m.
-            camera_height: over the floor, m. Both may be NaN.
+        """Fuse the weights of a network in evaluation mode, of the package's own model, for bones (3 G,), m,
+        see `Body.bones_of`, and a camera's height over the floor, m; both may be NaN.
         """
         self._body, self._network = body, FoldedNetwork(body, network, flip)
         self._inputs, constants, _ = sizes(body)
@@ -69,8 +66,7 @@ class FewWindows:
         """Return positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations
         (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad.
 
-        Args:
-            windows: B windows; their bones and height of the camera are not read.
+        Bones and height of the windows are not read.
         """
         rays, seen = windows.rays_world.numpy(), windows.seen.numpy()
         R_view, R_ray, elevation = _frames(self._centre(rays, seen))

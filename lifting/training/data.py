@@ -78,11 +78,8 @@ class Moving:
     def displace(
         self, body: Body, rows: Tensor, axes: Tensor, segments: list[int], shift: Tensor, estimated: int
     ) -> None:
-        """Displace joints that segments start and end with in some rows (B',).
-
-        Args:
-            axes: (B', 3, W, 2, n) x and z axes of the segments. segments: (n,) their indices, root first.
-            shift: (B', J, 3) in the parents' frames, of the root in its own, m.
+        """Displace joints that segments (n,), root first, with x and z axes (B', 3, W, 2, n) start and end with in some
+        rows (B',), by shifts (B', J, 3) in the parents' frames, of the root in its own, m.
         """
         x, z = axes.unbind(dim=3)
         columns = torch.stack([x, cross(z, x), z])  # (3, B', 3, W, n)

@@ -53,12 +53,7 @@ def draw_setup(
 ) -> Framing:
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
-    Args:
-        poses: of the movement, on the floor z = 0. sensors: names in the skeleton's table.
-        path: .png or .svg file, which is replaced.
-
-    Returns:
-        The numbers that are written in the drawing.
+    The movement is on the floor z = 0; a .png or .svg file is replaced. Returns the numbers written in the drawing.
 
     Raises:
         UnknownNameError: a sensor that the skeleton does not have.
@@ -214,10 +209,8 @@ def operator_page(
 ) -> str:
     """Return the sheet as HTML in one file, without network access.
 
-    Args:
-        steps: what the operator does, in order, e.g. of `operator_steps`.
-        drawing_svg: text of the SVG of `draw_setup`.
-        doubts: what is wrong or unsure about this set-up, with its remedy; shown first.
+    Shown first are `doubts`: what is wrong or unsure about this set-up, with its remedy; then the drawing's SVG text
+    and the steps, e.g. of `operator_steps`, in order.
 
     Raises:
         InvalidInputError: more text than fits on the sheet.

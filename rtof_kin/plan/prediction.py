@@ -125,14 +125,9 @@ def predict(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Prediction | str]:
-    """Predict the errors of several setups with the same draws of detector and sensors.
+    """Predict the errors of several setups with the same draws of detector and sensors, `draws` from `seed` on.
 
-    Args:
-        draws: simulated recordings of each. seed: of the first. lifter: as for `reconstruct`.
-        workers: processes, one per core if None.
-
-    Returns:
-        The prediction of each setup, or why there is none, such as a person out of view.
+    Returns the prediction of each setup, or why there is none, such as a person out of view.
     """
     if draws < 1:
         raise InvalidInputError(f"plan: {draws} draws; at least one simulated recording is needed")
@@ -223,15 +218,8 @@ def calibration_time(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> CalibrationTime:
-    """Return how well lengths of a movement calibrate the sensors.
-
-    Recordings of several lengths are simulated with the errors of sensors put on by hand, and calibrated from their own
-    motion as real ones are. Standard deviations are those of the calibration's information matrix; the simulated errors
-    check them.
-
-    Args:
-        setup: with the movement; lengths beyond it are left out. draws: simulated recordings of each length.
-        seed: of the first. lifter: as for `reconstruct`. workers: processes, one per core if None.
+    """Return how well lengths of a movement, `draws` recordings of each, calibrate the sensors; lengths
+    beyond the movement of the setup are left out.
 
     Raises:
         InvalidInputError: there are no sensors, or the movement is too short. RtofError: no simulated
