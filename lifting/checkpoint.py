@@ -60,11 +60,7 @@ class LifterDescription:
 def save_checkpoint(
     path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = False
 ) -> Path:
-    """Write a lifter.
-
-    Raises:
-        OutputExistsError, WritingError: see `save_tensors`.
-    """
+    """Write a lifter; raises OutputExistsError, WritingError: see `save_tensors`."""
     path = Path(path)
     values = asdict(replace(description, prior=None))
     text = json.dumps({k: v for k, v in values.items() if k != "prior"}, sort_keys=True)

@@ -56,25 +56,13 @@ class Model:
         return output
 
 
+def _model(of: Any, network: Callable[[NetworkConfig], TemporalNetwork], senses: bool) -> Model:
+    return Model(of.sizes, network, of.encode, of.decode, of.mirror_features, of.mirror_output, senses)
+
+
 MODELS: Final = {
-    RAYS: Model(
-        windows.sizes,
-        TemporalNetwork,
-        windows.encode,
-        windows.decode,
-        windows.mirror_features,
-        windows.mirror_output,
-        senses=True,
-    ),
-    VIDEOPOSE3D: Model(
-        videopose3d.sizes,
-        videopose3d.PoseAndRootNetwork,
-        videopose3d.encode,
-        videopose3d.decode,
-        videopose3d.mirror_features,
-        videopose3d.mirror_output,
-        senses=False,
-    ),
+    RAYS: _model(windows, TemporalNetwork, senses=True),
+    VIDEOPOSE3D: _model(videopose3d, videopose3d.PoseAndRootNetwork, senses=False),
 }
 """Models by name: the package's own, see `windows`, and the baseline, see `videopose3d`."""
 

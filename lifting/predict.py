@@ -150,10 +150,7 @@ class Lifter:
     def lift_windows(
         self, source: Source, times: Array, bones: Array, height: float, flip: bool = True
     ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Estimate the poses at B times; what the model does not estimate is NaN.
-
-        Args:
-            times: (B,) s. bones: (3 G,) m, see `bones_of`. height: of the camera over the floor, m. Both may be NaN.
+        """Estimate the poses at B times, s; what the model does not estimate is NaN, as bones and height may be.
 
         Returns:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations (B, J, 3, 3) of the
@@ -162,15 +159,9 @@ class Lifter:
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
         with torch_threads(1), torch.inference_mode():
-            windows = source.windows(
-                times,
-                network.receptive_field(),
-                network.estimated(),
-                self.description.rate_hz,
-                bones,
-                height,
-                picture=network.config.model != RAYS,
-            )
+            size, estimated = network.receptive_field(), network.estimated()
+            rate_hz, picture = self.description.rate_hz, network.config.model != RAYS
+            windows = source.windows(times, size, estimated, rate_hz, bones, height, picture)
             encoded = model.encode(body, windows)
             if network.config.model == RAYS:
                 if flip not in self._folded:

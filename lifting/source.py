@@ -79,15 +79,8 @@ class Source:
                     axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
         middle = np.array([camera.width_px, camera.height_px]) / 2
         xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
-        return cls(
-            keypoints.times,
-            rays.astype(np.float32),
-            seen,
-            axes,
-            sensed,
-            xy.astype(np.float32),
-            camera.R_camera_world.astype(np.float32),
-        )
+        rays32, xy32, R_camera_world = (x.astype(np.float32) for x in (rays, xy, camera.R_camera_world))
+        return cls(keypoints.times, rays32, seen, axes, sensed, xy32, R_camera_world)
 
     def extended(self, count: int, rate_hz: float) -> Self:
         """Return the same with further frames, in which the last one moves on more and more slowly.
@@ -123,14 +116,10 @@ class Source:
     def windows(
         self, times: Array, size: int, estimated: int, rate_hz: float, bones: Array, height: float, picture: bool = True
     ) -> Windows:
-        """Return the windows around B times.
+        """Return the windows around B times, s, of the estimated frames.
 
-        A landmark is interpolated between two frames where both saw it; before the first and after the
-        last frame, that frame is repeated.
-
-        Args:
-            times: (B,) of the estimated frames, s. size: frames per window. bones: (3 G,) see `Body.bones_of`.
-            height: of the camera over the floor, m. Both may be NaN.
+        A landmark is interpolated between two frames where both saw it; before the first and after the last frame, that
+        frame is repeated. Bones (3 G,), see `Body.bones_of`, and the camera's height over the floor, m, may be NaN.
         """
         at = times[:, None] + (np.arange(size) - estimated) / rate_hz
         instants = _Instants(self.times, at, near=0.1 / rate_hz)

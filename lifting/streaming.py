@@ -48,11 +48,8 @@ class FewWindows:
     """Lifts of one person from one height of the camera."""
 
     def __init__(self, body: Body, network: TemporalNetwork, bones: Array, camera_height: float, flip: bool = True):
-        """Fuse the weights.
-
-        Args:
-            network: in evaluation mode, of the package's own model. bones: (3 G,) see `Body.bones_of`, m.
-            camera_height: over the floor, m. Both may be NaN.
+        """Fuse the weights of a network in evaluation mode, of the package's own model, for bones (3 G,), m,
+        see `Body.bones_of`, and a camera's height over the floor, m; both may be NaN.
         """
         self._body, self._network = body, FoldedNetwork(body, network, flip)
         self._inputs, constants, _ = sizes(body)
@@ -69,8 +66,7 @@ class FewWindows:
         """Return positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations
         (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad.
 
-        Args:
-            windows: B windows; their bones and height of the camera are not read.
+        Bones and height of the windows are not read.
         """
         rays, seen = windows.rays_world.numpy(), windows.seen.numpy()
         R_view, R_ray, elevation = _frames(self._centre(rays, seen))
@@ -92,7 +88,8 @@ class FewWindows:
         now, ray = seen[rows, frame], rays[rows, :, frame]
         rank = now * self._rank
         chosen = now & (rank == rank.max(axis=1, keepdims=True))
-        centre = (ray * (chosen / _length(ray))[:, None]).sum(axis=2)
+        length = np.sqrt((ray * ray).sum(axis=1)).clip(1e-12)
+        centre = (ray * (chosen / length)[:, None]).sum(axis=2)
         centre[:, 0] += 1e-12  # negligible where anything is seen
         return np.asarray(centre, np.float32)
 
@@ -187,11 +184,6 @@ def _rotations(x: Array, z: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         R[..., i, 1] = z[..., j] * x[..., k] - z[..., k] * x[..., j]
     return R
-
-
-def _length(v: _Array) -> _Array:
-    """Lengths (B, n) of vectors (B, 3, n), at least 1e-12."""
-    return np.asarray(np.sqrt((v * v).sum(axis=1)).clip(1e-12))
 
 
 _SAME_S = 1e-6
@@ -343,15 +335,8 @@ class StreamingLifter:
         source, rate_hz = self._frames.source(), self._lifter.description.rate_hz
         if self._after() and latest + self.delay_s > newest + 0.1 / rate_hz:
             source = source.extended(self._after(), rate_hz)
-        windows = source.windows(
-            at,
-            self._lifter.receptive_field(),
-            self._lifter.estimated(),
-            rate_hz,
-            self._bones,
-            self._height,
-            picture=False,
-        )
+        size, estimated = self._lifter.receptive_field(), self._lifter.estimated()
+        windows = source.windows(at, size, estimated, rate_hz, self._bones, self._height, picture=False)
         p, sigma_m, R, sigma_rad = self._lifted(windows)
         enough = windows.seen.numpy().any(axis=1).sum(axis=1) >= MIN_JOINTS
         p += self._centre

@@ -49,11 +49,7 @@ def sizes(body: Body) -> tuple[int, int, int]:
 
 
 def encode(body: Body, windows: Windows) -> EncodedPictures:  # noqa: ARG001, as every `Model.encode`
-    """Return the network input of windows.
-
-    Raises:
-        ValueError: they have no picture.
-    """
+    """Return the network input of windows; raises ValueError: they have no picture."""
     picture = windows.picture
     if picture is None:
         raise ValueError("windows without a picture, which VideoPose3D needs")

@@ -265,18 +265,9 @@ def join_clips(
         raise InvalidInputError("corpus: there is no clip")
     p_root, R, beyond = (np.concatenate(parts) for parts in zip(*arrays, strict=True))
     start = np.concatenate([[0], np.cumsum([len(part[0]) for part in arrays])])
+    further, bodies = beyond if np.abs(beyond).max() > RIGID_M else None, np.stack(offsets)
     return Corpus(
-        names,
-        parents,
-        p_root,
-        R,
-        np.stack(offsets),
-        start,
-        tuple(subjects),
-        tuple(splits),
-        rate_hz,
-        beyond if np.abs(beyond).max() > RIGID_M else None,
-        acknowledgement,
+        names, parents, p_root, R, bodies, start, tuple(subjects), tuple(splits), rate_hz, further, acknowledgement
     )
 
 
@@ -331,20 +322,11 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
     else:
         R, p_root = so3.from_quat_wxyz(data["quat_wxyz"]), data["p_world_root"]
     names, subjects, split = (tuple(map(str, data[key])) for key in ("joint_names", "subjects", "split"))
-    offsets, beyond = data["offsets"].astype(np.float32), data.get("beyond_rigid")
-    return Corpus(
-        names,
-        tuple(map(int, data["parents"])),
-        p_root.astype(np.float32),
-        R.astype(np.float32),
-        offsets,
-        data["start"].astype(np.int64),
-        subjects,
-        split,
-        float(data.get("rate_hz", RATE_HZ)),
-        None if beyond is None else beyond.astype(np.float32),
-        str(data.get("acknowledgement", "")),
-    )
+    p_root, R, offsets = (x.astype(np.float32) for x in (p_root, R, data["offsets"]))
+    parents, start, further = tuple(map(int, data["parents"])), data["start"].astype(np.int64), data.get("beyond_rigid")
+    further = None if further is None else further.astype(np.float32)
+    rate_hz, note = float(data.get("rate_hz", RATE_HZ)), str(data.get("acknowledgement", ""))
+    return Corpus(names, parents, p_root, R, offsets, start, subjects, split, rate_hz, further, note)
 
 
 Progress = Callable[[int, int, str], None]

@@ -78,11 +78,8 @@ class Moving:
     def displace(
         self, body: Body, rows: Tensor, axes: Tensor, segments: list[int], shift: Tensor, estimated: int
     ) -> None:
-        """Displace joints that segments start and end with in some rows (B',).
-
-        Args:
-            axes: (B', 3, W, 2, n) x and z axes of the segments. segments: (n,) their indices, root first.
-            shift: (B', J, 3) in the parents' frames, of the root in its own, m.
+        """Displace joints that segments (n,), root first, with x and z axes (B', 3, W, 2, n) start and end with in some
+        rows (B',), by shifts (B', J, 3) in the parents' frames, of the root in its own, m.
         """
         x, z = axes.unbind(dim=3)
         columns = torch.stack([x, cross(z, x), z])  # (3, B', 3, W, n)
@@ -216,12 +213,9 @@ class MotionBank:
         self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
         bodies: list[Offsets | None] = [None, *skeletons]
-        self.bones = torch.stack([torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]).to(
-            device
-        )
-        self.offsets = torch.stack(
-            [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
-        ).to(device)
+        bones = [torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]
+        offsets = [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
+        self.bones, self.offsets = torch.stack(bones).to(device), torch.stack(offsets).to(device)
         p = [corpus.positions(clip) for clip in clips]
         R = np.concatenate([corpus.R_world_bone[corpus.frames(clip)] for clip in clips])
         count = np.array([len(part) for part in p])
@@ -332,13 +326,9 @@ class MotionBank:
         root = torch.lerp(self.roots[low], self.roots[high], share[..., 0])
         root = (root - self.roots[frames][:, None]).transpose(1, 2)
         nearest = self._between(frames, offset + lag + 0.5)[0]
-        return Moving(
-            bones.transpose(1, 2).contiguous(),
-            root,
-            self.offsets[body, self.clip[frames]],
-            self.axes[frames],
-            self.carried[nearest].transpose(1, 2).contiguous(),
-        ), self.heading[frames]
+        bones, carried = (x.transpose(1, 2).contiguous() for x in (bones, self.carried[nearest]))
+        moving = Moving(bones, root, self.offsets[body, self.clip[frames]], self.axes[frames], carried)
+        return moving, self.heading[frames]
 
     def _vary(self, moving: Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw) -> None:
         """Give some of the bodies the trunk of another rig, in place."""
@@ -354,13 +344,8 @@ class MotionBank:
         R = turns(axes[:, :, keys], config, some)
         at = torch.linspace(0, 2, W, device=self.device)
         low = at.floor().long().clamp(max=1)
-        moving.vary(
-            self.body,
-            rows,
-            torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None]),
-            self.trunk,
-            estimated,
-        )
+        between = torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None])
+        moving.vary(self.body, rows, between, self.trunk, estimated)
 
     def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Frames (B, W) before and after, and the weight (B, W, 1, 1) of the one after."""

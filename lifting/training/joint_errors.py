@@ -299,14 +299,9 @@ def jumps(body: Body, view: View, frames: int, draw: Draw, rate_hz: float) -> Te
     limbs = body.arms + body.legs
     error = view.joints.new_zeros(draw.batch, 2, frames, len(body.names))
     hidden = hidden_joints(body, view)
-    per_minute = torch.stack(
-        [
-            JUMPS_PER_MINUTE["arms" if limb in body.arms else "legs"] * (1 + 2 * hidden[:, limb[1:]].all(dim=1))
-            for limb in limbs
-        ],
-        dim=1,
-    )
-    there = _brief(per_minute, frames, draw, rate_hz)
+    usual = [JUMPS_PER_MINUTE["arms" if limb in body.arms else "legs"] for limb in limbs]
+    rates = [rate * (1 + 2 * hidden[:, limb[1:]].all(dim=1)) for rate, limb in zip(usual, limbs, strict=True)]
+    there = _brief(torch.stack(rates, dim=1), frames, draw, rate_hz)
     size = JUMP_M * (0.5 * draw.normal(draw.batch, 1, 4)).exp() * draw.normal(draw.batch, 2, 4)
     for i, limb in enumerate(limbs):
         at = size[:, :, None, i] * there[:, None, :, i]
@@ -325,16 +320,11 @@ def exchanged(body: Body, view: View, xy: Tensor, draw: Draw, rate_hz: float) ->
     at = view.joints[:, :2] / view.joints[:, 2:].clamp_min(NEAREST_M)
     apart = (at - at[..., body.mirrored]).norm(dim=1) * view.joints[:, 2]
     sin, _ = view.azimuth()
-    per_minute = torch.stack(
-        [
-            EXCHANGES_PER_MINUTE[name]
-            * sin**2
-            * (0.06 + (-(apart[:, joints].mean(dim=1) - 0.06).clamp_min(0) / 0.06).exp())
-            for name, joints in groups.items()
-        ],
-        dim=1,
-    )
-    which = _brief(per_minute, xy.shape[2], draw, rate_hz)
+    rates = []
+    for name, joints in groups.items():
+        beyond = (apart[:, joints].mean(dim=1) - 0.06).clamp_min(0)
+        rates.append(EXCHANGES_PER_MINUTE[name] * sin**2 * (0.06 + (-beyond / 0.06).exp()))
+    which = _brief(torch.stack(rates, dim=1), xy.shape[2], draw, rate_hz)
     mask = torch.zeros(xy.shape[0], *xy.shape[2:], dtype=torch.bool, device=xy.device)
     for i, joints in enumerate(groups.values()):
         mask[..., joints] = which[..., i : i + 1]

@@ -383,11 +383,8 @@ def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
 
 
 def with_errors(bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: Draw) -> Tensor:
-    """Return axes (B, 3, W, 2, S) as sensors measure them.
-
-    Args:
-        bones: (S, 3) unit vectors along the bones in their segments' frames, zero where there is none.
-        axes_world: (B, 3, W, 2, S) true x and z axes of the segments.
+    """Return true axes (B, 3, W, 2, S) as sensors measure them; bones (S, 3) are unit vectors along the bones
+    in their segments' frames, zero where there is none.
     """
     B, S = draw.batch, len(bones)
     factor = draw.between(config.amplitude, B, 1, 1)

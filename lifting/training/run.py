@@ -66,8 +66,12 @@ class Recipe:
         return AdamW(self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
 
     def set_rates(self, share: float) -> None:
-        """Set the learning rate after a share of the training."""
-        self._set_learning_rate(_cosine(share, self.config.warm_up))
+        """Set the learning rate after a share of the training: linear warm-up, then a cosine to 0."""
+        warm_up = self.config.warm_up
+        if share < warm_up:
+            self._set_learning_rate(max(share / warm_up, 0.01))
+        else:
+            self._set_learning_rate(0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0))))
 
     def _set_learning_rate(self, factor: float) -> None:
         for group in self.optimizer.param_groups:
@@ -106,25 +110,14 @@ class Published(Recipe):
 
     def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
         """Return the mean joint distance plus that of the root weighted by 1 / depth."""
+        assert batch.windows.picture is not None
+        forward = batch.windows.picture.R_camera_world[:, 2]
+        depth = (forward * batch.root).sum(dim=1).clamp_min(NEAREST)
         joints = losses.mean_joint_distance(estimate.pose, batch.pose)
-        return (joints + losses.root_distance(estimate.root, batch.root) / _depth(batch)).mean()
+        return (joints + losses.root_distance(estimate.root, batch.root) / depth).mean()
 
 
 RECIPES: Final[Mapping[str, type[Recipe]]] = {RAYS: Recipe, VIDEOPOSE3D: Published}
-
-
-def _depth(batch: Batch) -> Tensor:
-    """Depth (B,) of the root in the camera's frame, m."""
-    assert batch.windows.picture is not None
-    forward = batch.windows.picture.R_camera_world[:, 2]
-    return (forward * batch.root).sum(dim=1).clamp_min(NEAREST)
-
-
-def _cosine(share: float, warm_up: float) -> float:
-    """Factor on the learning rate: linear warm-up, then a cosine to 0."""
-    if share < warm_up:
-        return max(share / warm_up, 0.01)
-    return 0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0)))
 
 
 def first_answer(body: Body) -> Tensor:
@@ -204,16 +197,16 @@ class Run:
         if not self.model.senses:
             self.body = replace(self.body, sensors=())
             self.augment = replace(self.augment, sensors=SensorConfig(none=1.0))
-        self._check_together()
+        if config.batch % workers.count:
+            raise InvalidInputError(
+                f"training: a batch of {config.batch} windows cannot be shared evenly by "
+                f"{workers.count} processes; choose a multiple"
+            )
+        workers.check_same("motion", self.digest)
+        workers.check_same("setting", config.fixed())
         torch.manual_seed(config.seed)
-        shape = NetworkConfig(
-            *self.model.sizes(self.body),
-            config.filter_widths,
-            config.channels,
-            config.dropout,
-            config.causal,
-            config.model,
-        )
+        layers = config.filter_widths, config.channels, config.dropout
+        shape = NetworkConfig(*self.model.sizes(self.body), *layers, config.causal, config.model)
         self.network = self.model.network(shape).to(workers.device)
         self.recipe = RECIPES[config.model](config, self.network, self.body)
         self.averaged = self.model.network(shape).to(workers.device).eval()
@@ -232,16 +225,6 @@ class Run:
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
-
-    def _check_together(self) -> None:
-        config, workers = self.config, self.workers
-        if config.batch % workers.count:
-            raise InvalidInputError(
-                f"training: a batch of {config.batch} windows cannot be shared evenly by "
-                f"{workers.count} processes; choose a multiple"
-            )
-        workers.check_same("motion", self.digest)
-        workers.check_same("setting", config.fixed())
 
     def _draw(self, step: int) -> tuple[Batch, Encoded]:
         """This process's windows of a step, which depend on the seed and the step alone."""
@@ -345,14 +328,9 @@ class Run:
     def save_lifter(self, path: Path, overwrite: bool) -> Path:
         """Write the lifter with its last validation errors and the pose prior of its motion."""
         errors = self.history[-1]["validation"] if self.history else {}
+        data = self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT
         description = checkpoint.LifterDescription(
-            self.body,
-            self.network.config,
-            self.corpus.rate_hz,
-            self.facts(),
-            errors,
-            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT,
-            self.prior,
+            self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors, data, self.prior
         )
         return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
 

@@ -72,15 +72,9 @@ def draw(history: Sequence[Row], title: str) -> Figure:
     for ax, (key, label) in zip(panels, PANELS.items(), strict=True):
         for i, kind in enumerate(kinds):
             known = [row for row in history if kind in row["validation"]]
-            values = [row["validation"][kind][key] for row in known]
-            ax.plot(
-                [row["windows"] for row in known],
-                values,
-                "o-",
-                color=COLORS[i % len(COLORS)],
-                markersize=3,
-                label=f"{kind}: {values[-1]:.1f}",
-            )
+            values, seen = [row["validation"][kind][key] for row in known], [row["windows"] for row in known]
+            name = f"{kind}: {values[-1]:.1f}"
+            ax.plot(seen, values, "o-", color=COLORS[i % len(COLORS)], markersize=3, label=name)
         _decorate(ax, label)
         if kinds:
             ax.legend(fontsize=8, title="2D of the validation: last", title_fontsize=8, loc="lower left")
@@ -152,25 +146,19 @@ def train(
         if resume:
             run.restore(state_file)
         try:
-            _learn(run, state_file, progress)
+            with run.batches:
+                while run.share_done < 1:
+                    run.step()
+                    report = run.report()
+                    if report and team.first and "validation" in report:
+                        run.save(state_file)
+                    if report and team.first and progress:
+                        progress(report)
         finally:
             if team.first:
                 run.save(state_file)
                 write_curves(out, run.facts(), run.history)
         return team.from_first(lambda: run.save_lifter(out, overwrite))
-
-
-def _learn(run: Run, state_file: Path, progress: Progress | None) -> None:
-    with run.batches:
-        while run.share_done < 1:
-            run.step()
-            report = run.report()
-            if not report or not run.workers.first:
-                continue
-            if "validation" in report:
-                run.save(state_file)
-            if progress:
-                progress(report)
 
 
 @contextmanager

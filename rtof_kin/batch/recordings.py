@@ -184,10 +184,6 @@ class Step:
         own = [a.replace(RECORDING, str(recording)).replace(OUT, str(out)) for a in self.arguments]
         return [self.command, *own, *(["--overwrite"] if overwrite and self.output else [])]
 
-    def with_options(self, options: Iterable[str]) -> Step:
-        """Return the step with more options."""
-        return Step(self.command, (*self.arguments, *options))
-
 
 def read_chain(text: str, commands: Collection[str]) -> tuple[Step, ...]:
     """Return the steps of a chain, see the top of this module.
@@ -242,7 +238,8 @@ def steps_of(chain: Iterable[Step], entry: Entry) -> tuple[Step, ...]:
     unknown = sorted(set(entry.options) - {step.command for step in chain})
     if unknown:
         raise InvalidInputError(f"{entry.name}: options of {unknown[0]}, which is not in the chain")
-    return tuple(step.with_options(entry.options.get(step.command, ())) for step in chain)
+    more = entry.options
+    return tuple(Step(step.command, (*step.arguments, *more.get(step.command, ()))) for step in chain)
 
 
 def files_in(steps: Iterable[Step]) -> tuple[tuple[str, str], ...]:

@@ -103,11 +103,7 @@ class RowFile:
         write_text(path, "".join(_line(n, row) for n, row in rows.values()), overwrite=True)
 
     def add(self, row: Row) -> None:
-        """Append a row.
-
-        Raises:
-            WritingError: it cannot be written; the file is as before then.
-        """
+        """Append a row; raises WritingError: it cannot be written; the file is as before then."""
         self.rows[row.recording] = (self.run, row)
         size = None
         try:

@@ -63,10 +63,6 @@ class Place:
         """Return the latest row of every recording, of all shards."""
         return read_rows(sorted((self.out / BOOKS).glob("*.jsonl")))
 
-    def table_lock(self) -> FileLock:
-        """Return the lock of the table and the index, for which shards wait."""
-        return FileLock(self.out / BOOKS / "table.lock")
-
 
 @contextmanager
 def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Place]:
@@ -79,7 +75,10 @@ def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Pl
     if overwrite and shard.count > 1:
         raise InvalidInputError("a shard does not overwrite what others may just have made; name a new folder")
     books = out / BOOKS
-    _check_own(out)
+    if out.exists() and not out.is_dir():
+        raise OutputExistsError(f"{out}: is a file; name a folder")
+    if out.is_dir() and not mark_of(out).is_file() and {path.name for path in out.iterdir()} - {BOOKS}:
+        raise OutputExistsError(f"{out}: contains files that no batch wrote; name a new folder")
     try:
         make_folders(books)
     except OSError as error:
@@ -97,14 +96,6 @@ def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Pl
 
 def _name(shard: Shard) -> str:
     return f"shard-{shard.number}-of-{shard.count}"
-
-
-def _check_own(out: Path) -> None:
-    """Raise unless the folder is new, empty or that of a batch."""
-    if out.exists() and not out.is_dir():
-        raise OutputExistsError(f"{out}: is a file; name a folder")
-    if out.is_dir() and not mark_of(out).is_file() and {path.name for path in out.iterdir()} - {BOOKS}:
-        raise OutputExistsError(f"{out}: contains files that no batch wrote; name a new folder")
 
 
 def _check_others(books: Path, out: Path, shard: Shard) -> None:
@@ -203,7 +194,8 @@ def _run(batch: Batch, place: Place, command: Command, engine: Engine, report: P
                     raise WritingError(
                         f"{batch.out}: the disk is full ({failed}); make room, and the same command goes on"
                     )
-                tables.write_if_due()
+                if time.monotonic() >= tables.due:
+                    tables.write()
     finally:
         tables.write()
     return [rows.rows[entry.name][1] for entry in batch.entries if entry.name in names]
@@ -222,12 +214,8 @@ def _tasks(
             ]
             known[own] = tuple(map(with_absolute_files, own)), tuple(marks)
         absolute, made_from = known[own]
-        yield (
-            entry.name,
-            Task(
-                entry.name, entry.folder.resolve(), batch.out.resolve(), place.token, absolute, made_from, batch.version
-            ),
-        )
+        folder, out = entry.folder.resolve(), batch.out.resolve()
+        yield entry.name, Task(entry.name, folder, out, place.token, absolute, made_from, batch.version)
 
 
 class Tables:
@@ -241,17 +229,12 @@ class Tables:
     def __init__(self, out: Path, title: str, names: frozenset[str], place: Place):
         """Take the folder of the batch, the names of its source and of all its recordings, and its books."""
         self.out, self.title, self.names, self.place = out, title, names, place
-        self._next = time.monotonic() + self.PAUSE
-
-    def write_if_due(self) -> None:
-        """Write them unless they were written a moment ago."""
-        if time.monotonic() >= self._next:
-            self.write()
+        self.due = time.monotonic() + self.PAUSE
 
     def write(self) -> None:
         """Write them with the rows of all shards."""
         began = time.monotonic()
-        with self.place.table_lock():
+        with FileLock(self.place.out / BOOKS / "table.lock"):  # shards wait for each other
             found = self.place.rows()
             rows = [row for name, (_, row) in sorted(found.items()) if name in self.names]
             columns = [column.name for column in fields(Row)]
@@ -259,7 +242,7 @@ class Tables:
             worst_first = sorted(rows, key=lambda row: row.severity)
             write_index(self.out, worst_first, len(self.names), self.title)
         took = time.monotonic() - began
-        self._next = time.monotonic() + max(self.PAUSE, took / self.SHARE)
+        self.due = time.monotonic() + max(self.PAUSE, took / self.SHARE)
 
 
 Check = Callable[[list[str]], object]

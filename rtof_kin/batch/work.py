@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.batch.recordings import MOTION, PAGE, Step, output_name
-from rtof_kin.batch.rows import DONE, ERROR, Row
+from rtof_kin.batch.rows import DONE, Row
 from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.files.folder import remove_leftovers
 from rtof_kin.core.files.manifest import MANIFEST, fingerprint, make_folders, make_private
@@ -73,7 +73,9 @@ def process(command: Command, task: Task) -> dict[str, Any]:
         state.keep(row)
         return row.plain()
     except (_StepError, RtofError, OSError) as error:
-        row, full = Row(task.name, error=_without_places(str(error), task)), _is_of_full_disk(error)
+        # The recording by its name, and not where it lies: tables and pages are passed on.
+        text = str(error).replace(str(task.recording), task.name).replace(f"{task.out}/", "")
+        row, full = Row(task.name, error=text), _is_of_full_disk(error)
         if isinstance(error, _StepError):
             row = replace(row, step=error.step.command, log=_log_name(error.step))
     return _with_figures(row, task, state).plain() | {DISK_FULL: full}
@@ -85,11 +87,6 @@ def _is_of_full_disk(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _without_places(text: str, task: Task) -> str:
-    """Return a text with the recording by its name, and not where it lies: tables and pages are passed on."""
-    return text.replace(str(task.recording), task.name).replace(f"{task.out}/", "")
 
 
 class _StepError(Exception):
@@ -108,11 +105,7 @@ class _State:
 
     @classmethod
     def read(cls, task: Task) -> _State:
-        """Read what earlier runs did, if any.
-
-        Raises:
-            OutputExistsError: there are files that no batch wrote.
-        """
+        """Read what earlier runs did, if any; raises OutputExistsError: there are files that no batch wrote."""
         folder = task.out / task.name
         try:
             found = json.loads((folder / STATE).read_text(encoding="utf-8"))
@@ -120,7 +113,10 @@ class _State:
             if isinstance(steps, dict) and all(isinstance(step, dict) for step in steps.values()):
                 return cls(task, steps, found.get("row"))
         except FileNotFoundError:
-            if folder.is_symlink() or (folder.exists() and any(_visible(folder))):
+            # Temporary entries are those that a killed process leaves.
+            if folder.is_symlink() or (
+                folder.exists() and any(not path.name.startswith(".rtof_kin-") for path in folder.iterdir())
+            ):
                 raise OutputExistsError(
                     f"{folder}: contains files that no batch wrote; name another folder for the output"
                 ) from None
@@ -143,11 +139,7 @@ class _State:
         return digest is not None and found.get("output") == digest
 
     def begin(self, step: Step) -> None:
-        """Note that a step writes its output from now on.
-
-        Raises:
-            OutputExistsError: a file of the user is there.
-        """
+        """Note that a step writes its output from now on; raises OutputExistsError: a file of the user is there."""
         found = self.steps.get(output_name(step), {})
         path = self.folder / (step.output or _log_name(step))
         own = found.get("begun") or self.is_own(step, found) or path.is_dir()  # a folder has its manifest
@@ -260,13 +252,8 @@ def _verdict(task: Task, state: _State) -> Row:
         return row
     found = json.loads(summary.read_text(encoding="utf-8"))
     frames, verdict = int(found["frames"]), found["verdict"]
-    return replace(
-        row,
-        verdict=verdict["grade"],
-        sentence=verdict["headline"],
-        frames=frames,
-        duration_s=round(frames / found["rate_hz"], 3),
-    )
+    seconds = round(frames / found["rate_hz"], 3)
+    return replace(row, verdict=verdict["grade"], sentence=verdict["headline"], frames=frames, duration_s=seconds)
 
 
 def _with_figures(row: Row, task: Task, state: _State | None) -> Row:
@@ -274,25 +261,12 @@ def _with_figures(row: Row, task: Task, state: _State | None) -> Row:
     if state is None:
         return replace(row, version=task.version)
     steps = [state.steps.get(output_name(step), {}) for step in task.steps]
+    results = (Path(place, name) for place, _, names in os.walk(state.folder) for name in names if name != STATE)
     return replace(
         row,
         version=task.version,
         seconds=round(sum(step.get("seconds", 0.0) for step in steps), 3),
         cpu_seconds=round(sum(step.get("cpu_seconds", 0.0) for step in steps), 3),
         peak_memory_mb=max((step.get("peak_memory_mb", 0.0) for step in steps), default=0.0),
-        output_mb=round(_size(state.folder) / _MB, 3),
+        output_mb=round(sum(path.stat().st_size for path in results) / _MB, 3),
     )
-
-
-def _size(folder: Path) -> int:
-    """Return the size of the results and logs, bytes."""
-    paths = (Path(place, name) for place, _, names in os.walk(folder) for name in names if name != STATE)
-    return sum(path.stat().st_size for path in paths)
-
-
-def _visible(folder: Path) -> Iterator[Path]:
-    """Yield the entries of a folder but for temporary ones, which a killed process leaves."""
-    return (path for path in folder.iterdir() if not path.name.startswith(".rtof_kin-"))
-
-
-__all__ = ["DISK_FULL", "ERROR", "STATE", "Command", "Task", "mark_of", "process"]

@@ -136,9 +136,7 @@ def swing(R_parent: Array, rest: Array, observed: Array) -> Array:
 
 
 def rotations_from_positions(parents: Sequence[int], offsets: Array, p: Array) -> Array:
-    """Return `segment_rotation` of all joints, R_world_bone (T, J, 3, 3), from positions (T, J, 3), m; NaN if
-    incomplete.
-    """
+    """Return `segment_rotation` of all joints (T, J, 3, 3) from positions (T, J, 3), m; NaN in incomplete frames."""
     known = np.isfinite(p).all(axis=(1, 2))
     R = np.full((*p.shape[:2], 3, 3), np.nan)
     R_known = np.empty((int(known.sum()), p.shape[1], 3, 3))

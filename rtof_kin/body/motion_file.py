@@ -353,19 +353,15 @@ class MotionWriter:
         p, R = self._skeleton.forward_kinematics(q)
         stored = ~(_same(p, poses.p_world_joint, _SAME) & _same(R, poses.R_world_bone, _SAME))
         if stored.any():
-            self._store(stored, poses)
+            kept = stored[:, None, None]
+            values = (poses.p_world_joint, rotation_vectors(poses.R_world_bone, _Q_BITS))
+            short = [np.where(kept, part, np.nan).astype(np.float32) for part in values]
+            self._arrays.append({"poses_stored": stored} | dict(zip(STORED, short, strict=True)), self._frames)
         if motion.confidence is not None:
             entries = [getattr(motion.confidence, name)[..., ROWS, COLUMNS] for name in COVARIANCES]
             self._append_nodes(*self._nodes.add(np.concatenate(entries, axis=1)))
         self._frames += len(poses)
         self._last = float(poses.times[-1])
-
-    def _store(self, stored: Mask, poses: PoseSequence) -> None:
-        """Write poses that are not the forward kinematics of `q`."""
-        kept = stored[:, None, None]
-        values = (poses.p_world_joint, rotation_vectors(poses.R_world_bone, _Q_BITS))
-        short = [np.where(kept, part, np.nan).astype(np.float32) for part in values]
-        self._arrays.append({"poses_stored": stored} | dict(zip(STORED, short, strict=True)), self._frames)
 
     def _append_nodes(self, frames: Index, entries: Array) -> None:
         J = len(self._skeleton.names)

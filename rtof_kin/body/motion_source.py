@@ -116,11 +116,8 @@ class MotionSource:
             yield block.motion, masks[block.frames]
 
     def blocks(self, margin: int = 0, confidence: bool = False) -> Iterator[Block]:
-        """Return the motion in blocks of at most `BLOCK` frames.
-
-        Args:
-            margin: number of frames before and after each block that its motion has too.
-            confidence: whether their confidence is needed, which takes longest to read.
+        """Return the motion in blocks of at most `BLOCK` frames; `margin`: number of frames before and after each block
+        that its motion has too; `confidence`: whether their confidence is needed, which takes longest to read.
         """
         parts = []
         for start in range(0, len(self), BLOCK):

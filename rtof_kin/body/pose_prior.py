@@ -72,9 +72,7 @@ class NeutralPosture:
 
 
 def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
-    """Return in which frames (T,) of even 21-joint poses the person stands still: thighs and upper trunk upright, no
-    turn.
-    """
+    """Return in which even frames (T,) a 21-joint person stands still: thighs and upper trunk upright, no turn."""
     R = poses.R_world_bone
     turns = so3.angle_between(R[:-1], R[1:]) * (rate_hz or poses.rate_hz)
     fast = np.nan_to_num(turns, nan=np.inf).max(axis=1) > _STILL
@@ -202,10 +200,8 @@ class PosePrior:
         return replace(self, mean_quat_wxyz=moved_means(self.mean_quat_wxyz, self.joints, turns))
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
-        """Return the inverse covariance (3A, 3A) of the rotations of some joints.
-
-        Args:
-            joints: A names, without the root. least: standard deviation added in quadrature, rad.
+        """Return the inverse covariance (3A, 3A) of the rotations of some joints; `joints`: A names, without the root;
+        `least`: standard deviation added in quadrature, rad.
         """
         index = [i - 1 for i in indices_of("joint of the pose prior", joints, self.joints)]
         rows = (3 * np.repeat(index, 3) + np.tile(range(3), len(index))).astype(int)

@@ -182,16 +182,9 @@ def _firm(covariance: Array) -> Array:
 
 
 def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the prior of motions of several rigs: with an even spine and clavicles that follow the arms.
-
-    Args:
-        mean: (J - 1, 3, 3). covariance: (3 (J - 1), 3 (J - 1)) of rotation vectors.
+    """Return the prior, mean (J - 1, 3, 3) and covariance of rotation vectors, of motions of several rigs: with the
+    bend of the trunk shared evenly (mean, variance and correlations), and clavicles that follow the arms.
     """
-    return _with_moving_clavicles(names, *_with_even_spine(names, mean, covariance))
-
-
-def _with_even_spine(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Share the bend of the trunk evenly: the same mean, variance and correlations for each of its joints."""
     spine = [names.index(joint) - 1 for joint in SPINE]
     mean, share = mean.copy(), np.zeros((len(mean), len(mean)))
     bend = so3.log(mean[spine[0]] @ mean[spine[1]] @ mean[spine[2]] @ mean[spine[3]])
@@ -201,13 +194,8 @@ def _with_even_spine(names: Sequence[str], mean: Array, covariance: Array) -> tu
     average = np.kron(share, np.eye(3))
     uneven = np.zeros_like(share)
     uneven[np.ix_(spine, spine)] = np.eye(len(spine)) - 1 / len(spine)
-    return mean, average @ covariance @ average.T + np.kron(uneven, np.diag(UNEVEN**2))
-
-
-def _with_moving_clavicles(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Let clavicles follow the arms."""
-    mean, follow = mean.copy(), np.eye(len(covariance))
-    own = np.zeros(len(covariance))
+    covariance = average @ covariance @ average.T + np.kron(uneven, np.diag(UNEVEN**2))
+    follow, own = np.eye(len(covariance)), np.zeros(len(covariance))
     for joint in CLAVICLES:
         j, arm = (names.index(n) - 1 for n in (joint, joint.replace("Shoulder", "Arm")))
         rows = slice(3 * j, 3 * j + 3)

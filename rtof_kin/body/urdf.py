@@ -50,7 +50,16 @@ def to_urdf(table: SkeletonTable) -> str:
             origin = joint.offset if i == 0 else np.zeros(3)
             _revolute(robot, joint, i, parent, child, origin)
             parent = child
-        _segment(ET.SubElement(robot, "link", name=joint.name), joint, table)
+        link = ET.SubElement(robot, "link", name=joint.name)
+        _inertial(link, *segment_inertia(joint, table))
+        length = float(np.linalg.norm(joint.end))
+        turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)
+        pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))
+        rpy = (np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0]))
+        body = _visual(link, joint.end / 2, rpy)
+        ET.SubElement(body, "cylinder", radius=_number(joint.radius), length=_number(length))
+        for point in (np.zeros(3), joint.end):
+            ET.SubElement(_visual(link, point), "sphere", radius=_number(joint.radius))
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -128,19 +137,6 @@ def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, A
         d = so3.skew(c - center)
         matrix += I - mass * d @ d  # Steiner
     return total, center, matrix
-
-
-def _segment(link: ET.Element, joint: Joint, table: SkeletonTable) -> None:
-    """Add inertia and visuals of a segment."""
-    _inertial(link, *segment_inertia(joint, table))
-    length = float(np.linalg.norm(joint.end))
-    turn = so3.minimal_rotation([0.0, 0.0, 1.0], joint.end)
-    pitch = np.arcsin(np.clip(-turn[2, 0], -1, 1))
-    rpy = (np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0]))
-    body = _visual(link, joint.end / 2, rpy)
-    ET.SubElement(body, "cylinder", radius=_number(joint.radius), length=_number(length))
-    for point in (np.zeros(3), joint.end):
-        ET.SubElement(_visual(link, point), "sphere", radius=_number(joint.radius))
 
 
 def _visual(link: ET.Element, xyz: Array, rpy: Iterable[float] = (0, 0, 0)) -> ET.Element:

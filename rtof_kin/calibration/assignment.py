@@ -96,9 +96,7 @@ def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Score, 
     """Return assignments (C, S) after a step that places sensor s."""
 
     def ways(of: Labels) -> tuple[Labels, Array]:
-        """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place, and their
-        scores (C, K).
-        """
+        """Return assignments (C, K, S) with sensor s on each segment, whose own takes its place, and scores (C, K)."""
         new = np.repeat(of[:, None], K, axis=1)
         new = np.where(new == np.arange(K)[:, None], of[:, s, None, None], new)
         new[:, :, s] = np.arange(K)

@@ -33,9 +33,7 @@ _SIGMA_M = 0.04  # Standard deviation of the difference: per length of the bone,
 
 
 def projected(bones: Array, rays: Array) -> Array:
-    """Return the images (..., 2) of bones (..., 3), camera axes, at unit depth of their middles, by those' normalised
-    rays.
-    """
+    """Return the images (..., 2) of bones (..., 3), camera axes, at unit depth of their middles' rays (..., 2)."""
     return np.asarray(bones[..., :2] - rays * bones[..., 2:])
 
 
@@ -53,11 +51,8 @@ class BoneImages:
     sensor_count: int  # S
 
     def cost(self, steps: int, constant: bool = True) -> Array:
-        """Return the robust differences (F, B), nats.
-
-        Args:
-            steps: offset of the video's stamps relative to the sensors', in `STEP`.
-            constant: whether each bone may have a constant difference.
+        """Return the robust differences (F, B), nats; `steps`: offset of the video's stamps relative to the sensors',
+        in `STEP`; `constant`: whether each bone may have a constant difference.
         """
         index = self.frames - steps
         inside = (index >= 0) & (index < len(self.directions))
@@ -259,11 +254,8 @@ class Limbs:
         return cls(*kept)
 
     def drawn(self, bones: Array, perspective: ArrayLike = 1.0) -> Array:
-        """Return the images (..., T, n, 2) of bones, up to a scale.
-
-        Args:
-            bones: (..., T, n, 3) m, camera axes.
-            perspective: (...) 1 for the focal length given, 0.5 for one twice as long.
+        """Return the images (..., T, n, 2) of bones, up to a scale; `bones`: (..., T, n, 3) m, camera axes;
+        `perspective`: (...) 1 for the focal length given, 0.5 for one twice as long.
         """
         return projected(bones, np.asarray(perspective)[..., None, None, None] * self.middle)
 

@@ -108,9 +108,7 @@ def _grid(first: float, last: float) -> Array:
 
 
 def angular_velocities(times: Array, R: Array, grid: Array | None = None) -> AngularVelocities:
-    """Return angular velocities of R (T, N, 3, 3) at times (T,) on a grid of steps `STEP`; default: all multiples of
-    it.
-    """
+    """Return angular velocities of R (T, N, 3, 3) at times (T,) on a grid of `STEP`; default: all multiples of it."""
     grid = _grid(float(times[0]), float(times[-1])) if grid is None else grid
     R = signals.interpolate_rotations(times, R, grid, _LONGEST_GAP)
     w = np.stack([angular_velocity(grid, one) for one in R.swapaxes(0, 1)], axis=1)

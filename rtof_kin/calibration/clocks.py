@@ -232,11 +232,8 @@ def _common(seen: AngularVelocities, sensed: AngularVelocities, offset: float) -
 def _windows(
     seen: AngularVelocities, sensed: AngularVelocities, line: ClockEstimate, seconds: float, most: int, reach: float
 ) -> Array:
-    """Offsets (K, 4) of windows in which the motion agrees: time from the middle of the video, offset, its
-    standard deviation, part explained.
-
-    Args:
-        reach: s.
+    """Offsets (K, 4) of windows in which the motion agrees: time from the middle of the video, offset, its standard
+    deviation, part explained; `reach`: s.
     """
     start, stop = _common(seen, sensed, line.offset)
     count, found = min(int((stop - start) / seconds), most), list[tuple[float, ...]]()

@@ -104,11 +104,8 @@ class Excerpt:
         return [(i, part) for i, part in enumerate(parts) if len(part)]
 
     def slipped(self, states: Sequence[Array]) -> tuple[StreamFault, ...]:
-        """Intervals in which a sensor contradicts the motion solved with all of them, but for sensors that do
-        so nearly always, which a constant mounting error explains.
-
-        Args:
-            states: (N, 3 + 4A) of every fragment.
+        """Intervals in which a sensor contradicts the motion solved with all of them, but for sensors that do so nearly
+        always, which a constant mounting error explains; `states`: (N, 3 + 4A) of every fragment.
         """
         faults, seconds = list[StreamFault](), 0.0
         for (i, first), x in zip(self.fragments, states, strict=True):

@@ -59,10 +59,8 @@ class UnknownsHessian:
         self._parts, self._changes = parts, changes
 
     def by_unknowns(self, name: str, like: Array, through: Array | None = None) -> Array:
-        """Return derivatives (..., G) of a field of `Changes`, or of a function of it.
-
-        Args:
-            like: array (...) of the result's shape. through: (..., i, j) derivative of the function by the field.
+        """Return derivatives (..., G) of a field of `Changes`, or of a function of it; `like`: array (...) of the
+        result's shape; `through`: (..., i, j) derivative of the function by the field.
         """
         out = np.zeros((*like.shape, len(self.gradient)))
         for part, change in zip(self._parts, self._changes, strict=True):

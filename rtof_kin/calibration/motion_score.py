@@ -87,6 +87,12 @@ def pair_features(motions: SensorMotions) -> Array:
     turn, push = _coherence(w_c), _coherence(a_c)
     joint, gain, arm, heading = _common_joint(motions)
     w_z, a_z = w[..., 2], a[..., 2]
+    # The gain in correlation of speeds (T, S) when either is delayed by 0.2 to 0.8 s.
+    lagged = np.full((speed.shape[1], speed.shape[1]), -1.0)
+    for lag in range(round(0.2 * RATE_HZ), round(0.8 * RATE_HZ) + 1, round(0.1 * RATE_HZ)):
+        if lag < len(speed) // 2:
+            late = _correlations(speed[lag:], speed[:-lag])
+            lagged = np.maximum(lagged, np.maximum(late, late.T))
     both = [
         *(_correlations(x, x) for x in (speed, size, w_z, a_z)),
         np.abs(turn),
@@ -95,7 +101,7 @@ def pair_features(motions: SensorMotions) -> Array:
         *_relative_turning(motions, heading),
         np.cos(np.angle(turn) - heading) * np.abs(turn),
         np.cos(np.angle(push) - heading) * np.abs(push),
-        _lagged(speed),
+        lagged - _correlations(speed, speed),
         np.sin(np.angle(turn) - heading) * np.abs(turn),
     ]
     crossed = ((a_z, speed), (w_z, speed), (w_z, rise), (w_z, a_z), (w_z, size))
@@ -161,16 +167,6 @@ def _relative_turning(motions: SensorMotions, heading: Array) -> list[Array]:
             largest = np.linalg.eigvalsh(own.T @ own)
             plane[a, b] = plane[b, a] = largest[-1] / max(largest.sum(), 1e-9)
     return [share, plane]
-
-
-def _lagged(speed: Array) -> Array:
-    """Return the gain in correlation of speeds (T, S) when either is delayed by 0.2 to 0.8 s."""
-    out = np.full((speed.shape[1], speed.shape[1]), -1.0)
-    for lag in range(round(0.2 * RATE_HZ), round(0.8 * RATE_HZ) + 1, round(0.1 * RATE_HZ)):
-        if lag < len(speed) // 2:
-            late = _correlations(speed[lag:], speed[:-lag])
-            out = np.maximum(out, np.maximum(late, late.T))
-    return out - _correlations(speed, speed)
 
 
 def _coherence(values: Array) -> Array:

@@ -330,9 +330,7 @@ def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
 
 
 def place_swing(skeleton: SkeletonModel, joint: str) -> float:
-    """Return the standard deviation, rad, by which a segment is turned if both its ends are seen beside the
-    joints: sqrt(2) `PLACE_ERROR` over its length.
-    """
+    """Return the standard deviation, rad, of a segment whose ends are both seen `PLACE_ERROR` beside the joints."""
     j = skeleton.names.index(joint)
     ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]
     length = max((float(np.linalg.norm(end)) for end in ends), default=0.2)

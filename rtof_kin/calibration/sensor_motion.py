@@ -110,15 +110,10 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
     )
     if stream.f_sensor is None:
         return R[:, 0], w, np.full((len(times), 3), np.nan), D
-    f = signals.low_pass_known(stream.times, _in_inertial(stream), min(3 * _CUTOFF_HZ, 0.45 * stream.rate_hz))
+    f = np.asarray(np.einsum("tij,tj->ti", stream.R_inertial_sensor, stream.f_sensor))
+    f = signals.low_pass_known(stream.times, f, min(3 * _CUTOFF_HZ, 0.45 * stream.rate_hz))
     a = signals.interpolate(stream.times, f, times, _LONGEST_GAP) + GRAVITY_WORLD
     return R[:, 0], w, signals.low_pass_known(times, a, _CUTOFF_HZ), D
-
-
-def _in_inertial(stream: SensorStream) -> Array:
-    assert stream.R_inertial_sensor is not None
-    assert stream.f_sensor is not None
-    return np.asarray(np.einsum("tij,tj->ti", stream.R_inertial_sensor, stream.f_sensor))
 
 
 def joined(parts: Sequence[SensorMotions]) -> SensorMotions:

@@ -78,9 +78,7 @@ class LateSensors:
 
     @cached_property
     def _known(self) -> tuple[Array, Array]:
-        """Weights (N, S) of orientations and accelerations that all delays have: else their energies are of
-        other residuals.
-        """
+        """Weights (N, S) of orientations and accelerations that all delays have, for energies of the same residuals."""
         first = int(self.steps[-1])
         frames = [slice(first - k, first - k + self.count, self.parts) for k in self.steps.tolist()]
         orientations, accelerations = (
@@ -114,10 +112,8 @@ class DelayPosterior:
         self.delay, self.sigma, self.doubt = mean, sigma, ""
 
     def around(self, times: Array, rate_hz: float, sampled: Sampled) -> LateSensors:
-        """Return the sensors at the frames of a window, for the present delay and for all others.
-
-        Args:
-            times: (N,) stamps of the video, evenly spaced, s. sampled: the sensors at any times.
+        """Return the sensors at the frames of a window, for the present delay and for all others; `times`: (N,) stamps
+        of the video, evenly spaced, s; `sampled`: the sensors at any times.
         """
         mean, sigma = self._prior
         parts = int(np.ceil(1 / (_COARSEST * sigma * rate_hz)))
@@ -276,7 +272,17 @@ class SequentialCalibration:
         energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
         information, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
-            fragment = replace(fragment, observations=self._weighted(now))
+            p, rows = self._priors, now.rows
+            fragment = replace(
+                fragment,
+                observations=now.changed(
+                    w_visual=p.weight_vision * rows["w_visual"],
+                    knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
+                    w_sensor=p.weight_sensors * rows["w_sensor"],
+                    w_prior=p.weight_poses * rows["w_prior"],
+                    w_torso=p.weight_poses * rows["w_torso"],
+                ),
+            )
             self._problem.bind(fragment.observations.fragment(0, N))
             yield
             information, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
@@ -314,16 +320,6 @@ class SequentialCalibration:
         if sampled is not None:
             given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
         return corrected(given, self.unknowns, y)
-
-    def _weighted(self, given: CalibrationObservations) -> CalibrationObservations:
-        p, rows = self._priors, given.rows
-        return given.changed(
-            w_visual=p.weight_vision * rows["w_visual"],
-            knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
-            w_sensor=p.weight_sensors * rows["w_sensor"],
-            w_prior=p.weight_poses * rows["w_prior"],
-            w_torso=p.weight_poses * rows["w_torso"],
-        )
 
     def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
         problem = self._problem

@@ -86,15 +86,6 @@ class Isotropic(Unknown):
 
 
 @dataclass(frozen=True)
-class _Groups:
-    """Index of the group of bones that scales each joint, landmark and sensor."""
-
-    bones: Index
-    landmarks: Index
-    sensors: Index
-
-
-@dataclass(frozen=True)
 class Bones(Unknown):
     """Relative errors of the lengths of groups of bones.
 
@@ -111,7 +102,8 @@ class Bones(Unknown):
     name = "bones"
 
     @cached_property
-    def _of(self) -> _Groups:
+    def _of(self) -> tuple[Index, Index, Index]:
+        """Index of the group of bones that scales each joint, landmark and sensor."""
         J = 1 + max(j for _, joints in self.groups for j in joints)
         bones = np.zeros(J, dtype=np.intp)
         for g, (_, joints) in enumerate(self.groups):
@@ -120,7 +112,7 @@ class Bones(Unknown):
         for j in range(J - 1, 0, -1):
             segment[self.parents[j]] = bones[j]
         on = self.attached
-        return _Groups(bones, segment[list(on.landmarks)], segment[list(on.sensors)])
+        return bones, segment[list(on.landmarks)], segment[list(on.sensors)]
 
     @property
     def items(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -136,11 +128,11 @@ class Bones(Unknown):
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Scale offsets, places and levers."""
-        known, of, scale = given.constant, self._of, 1 + float(y.mean())
+        known, (bones, landmarks, sensors), scale = given.constant, self._of, 1 + float(y.mean())
         longer = given.known(
-            offsets=known["offsets"] * (1 + y[of.bones]),
-            places=known["places"] * (1 + y[of.landmarks]),
-            levers=known["levers"] * (1 + y[of.sensors]),
+            offsets=known["offsets"] * (1 + y[bones]),
+            places=known["places"] * (1 + y[landmarks]),
+            levers=known["levers"] * (1 + y[sensors]),
         )
         return replace(
             longer, a_world=scale * given.a_world, w_acceleration=given.w_acceleration / scale**2, length_scale=scale
@@ -148,13 +140,11 @@ class Bones(Unknown):
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Derivatives along the chains from the root."""
-        known, joints, of = at.given.constant, at.joints, self._of
+        known, joints, (bones, landmarks, sensors) = at.given.constant, at.joints, self._of
         parents = at.space.skeleton.parents
-        grown = known["offsets"].T / (1 + y[of.bones])[:, None]
+        grown = known["offsets"].T / (1 + y[bones])[:, None]
         zero, own = np.zeros((len(at.p), 3)), range(len(y))
-        p = np.stack(
-            [kinematics.positions(parents, grown * (of.bones == g)[:, None], zero, at.R) for g in own], axis=-1
-        )
+        p = np.stack([kinematics.positions(parents, grown * (bones == g)[:, None], zero, at.R) for g in own], axis=-1)
 
         def attached(on: Sequence[int], places: Array, groups: Index) -> Array:
             turned = np.einsum("nkij,jk->nki", at.R[:, list(on)], places / (1 + y[groups]))
@@ -163,8 +153,8 @@ class Bones(Unknown):
 
         by_scale = np.full(len(y), 1 / (len(y) * at.given.length_scale))
         return Changes(
-            points=attached(joints.landmarks, known["places"] * joints.free.T, of.landmarks),
-            sensors=attached(joints.sensors, known["levers"], of.sensors),
+            points=attached(joints.landmarks, known["places"] * joints.free.T, landmarks),
+            sensors=attached(joints.sensors, known["levers"], sensors),
             feet=p[:, list(joints.feet), 2:],
             accelerations=at.a_sensors[..., None] * by_scale,
             jerk=-at.root_jerk[:, None, :, None] * by_scale,
@@ -461,10 +451,8 @@ class Posture(Isotropic):
 
     @classmethod
     def of(cls, turning: Sequence[str], sigma: float) -> Self:
-        """Return the posture of the joints of a `NeutralPosture` that turn.
-
-        Args:
-            turning: joints of the problem, root first (`StateSpace.names`). sigma: rad per axis.
+        """Return the posture of the joints of a `NeutralPosture` that turn; `turning`: joints of the problem, root
+        first (`StateSpace.names`); `sigma`: rad per axis.
         """
         items = tuple(joint for joint in JOINTS if joint in turning[1:])
         return cls(items, tuple(turning.index(joint) - 1 for joint in items), sigma)

@@ -53,7 +53,7 @@ class AngleDifferences:
     @property
     def joint_angle(self) -> str:
         """The name without its side: both sides are one row of a table."""
-        return next((self.angle.removeprefix(f"{s}_") for s in SIDES if self.angle.startswith(f"{s}_")), self.angle)
+        return self.angle.removeprefix(f"{SIDES[0]}_").removeprefix(f"{SIDES[1]}_")
 
 
 @dataclass(frozen=True)

@@ -235,23 +235,14 @@ def _joint_angles(
         between = np.arccos(np.clip(np.cos(raw[:, 0]) * np.cos(raw[:, 1]), -1, 1))
         signed = np.copysign(between, np.sin(raw[:, 0]))  # the sine: `raw` may be whole turns off
         raw[:, 0] = np.where(parent_level < WHOLE, signed, raw[:, 0])
-        observed &= ~_fixed(raw)
+        if len(moved := raw[np.isfinite(raw).all(axis=1)]):
+            span = np.degrees(np.ptp(moved, axis=0))  # a hinge of the model where only the first angle moves
+            observed &= ~((span < 1e-3) & (span[0] > 1.0))
     weaker = seen_by[:, [parent, child]].min(axis=1)
     both_seen = (weaker >= Provenance.IMU) | (not seen_by[:, [parent, child]].any())
     unseen = np.where(posed, np.where(both_seen, Provenance.PRIOR, weaker), Provenance.NOBODY)
     provenance = np.where(observed, weaker[:, None], unseen[:, None]).astype(np.uint8)
     return np.where(observed, signs * raw, np.nan), provenance, singular & observed
-
-
-def _fixed(raw: Array) -> Mask:
-    """(3,) which angles vary by less than a thousandth of a degree while the first one moves: the model of
-    the motion has a hinge there.
-    """
-    known = raw[np.isfinite(raw).all(axis=1)]
-    if len(known) == 0:
-        return np.zeros(3, dtype=np.bool_)
-    span = np.degrees(np.ptp(known, axis=0))
-    return np.asarray((span < 1e-3) & (span[0] > 1.0))
 
 
 def _notes(table: AngleTable, values: Array, provenance: Sources) -> tuple[str, ...]:
@@ -294,9 +285,14 @@ def opensim_angles(found: OpenSimTable) -> tuple[ClinicalAngles, tuple[str, ...]
     values, used = np.full((len(found.times), len(table.rows)), np.nan), set()
     for column, row in enumerate(table.rows):
         name = row.opensim.removeprefix("-")
-        if name and (angle := found.rotation(name)) is not None:
-            values[:, column] = _continuous(-angle if row.opensim.startswith("-") else angle, row)
-            used.add(name)
+        if not name or (angle := found.rotation(name)) is None:
+            continue
+        used.add(name)
+        own = -angle if row.opensim.startswith("-") else angle
+        for start, stop in signals.runs(np.isfinite(own)):  # whole turns into the angle's range
+            stretch = np.unwrap(own[start:stop])
+            turns = np.round((np.median(stretch) - np.mean(row.range)) / (2 * np.pi))
+            values[start:stop, column] = stretch - 2 * np.pi * turns
     others = tuple(name for name in found.names if name not in used)
     if not used:
         usual = [row.opensim.removeprefix("-") for row in table.rows if "hip" in row.opensim]
@@ -306,16 +302,6 @@ def opensim_angles(found: OpenSimTable) -> tuple[ClinicalAngles, tuple[str, ...]
         )
     nothing = np.zeros(values.shape)  # neither provenance, bands nor singular postures
     return ClinicalAngles(found.times, values, nothing.astype(np.uint8), nothing.astype(np.bool_), table.rows), others
-
-
-def _continuous(angle: Array, row: AngleRow) -> Array:
-    """Unwrap each stretch without a gap, by whole turns into the angle's range."""
-    out = np.array(angle)
-    for start, stop in signals.runs(np.isfinite(out)):
-        stretch = np.unwrap(out[start:stop])
-        turns = np.round((np.median(stretch) - np.mean(row.range)) / (2 * np.pi))
-        out[start:stop] = stretch - 2 * np.pi * turns
-    return out
 
 
 def _of_own_model(found: OpenSimTable, skeleton: SkeletonModel) -> ClinicalAngles:

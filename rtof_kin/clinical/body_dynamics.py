@@ -31,7 +31,7 @@ from scipy.linalg import toeplitz
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import mass_fraction
 from rtof_kin.body.urdf import pin
-from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
+from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -88,8 +88,11 @@ class BodyDynamics:
         self._model, self._data = skeleton.model, skeleton.model.createData()
         self._root = self._model.getJointId("root_joint")
         table = angle_table(skeleton.table)
-        self._feet = [_link_joint(skeleton, table.segments[f"{side} foot"]) for side in SIDES]
-        self._soles = [sole_middle(skeleton, table, side) for side in SIDES]
+        feet = [skeleton.table.joints[skeleton.names.index(table.segments[f"{side} foot"])] for side in SIDES]
+        # the last of the three revolutes of a joint carries its link; between heel and toe in that link's frame, m
+        self._feet = [int(skeleton.model.getJointId(joint.dofs[-1].urdf)) for joint in feet]
+        ends = [[table.segments[f"{side} {word}"] for word in ("heel", "toe")] for side in SIDES]
+        self._soles = [np.mean([skeleton.landmarks[end][1] for end in pair], axis=0) for pair in ends]
         self.segments, self._shares = _segment_shares(skeleton)
 
     def at(self, q: Array, v: Array, a: Array, carries: int) -> FrameDynamics:
@@ -198,12 +201,6 @@ class BodyDynamics:
         return np.asarray(by_segment - by_segment.sum(axis=1, keepdims=True) * masses / masses.sum())
 
 
-def sole_middle(skeleton: SkeletonModel, table: AngleTable, side: str) -> Array:
-    """Return the middle (3,) between heel and toe in the foot's link frame, m; side: of `SIDES`."""
-    points = [skeleton.landmarks[table.segments[f"{side} {word}"]][1] for word in ("heel", "toe")]
-    return np.asarray(np.mean(points, axis=0))
-
-
 def _by_errors(derivatives: tuple[Array, Array, Array], v: Array, a: Array) -> list[Array]:
     """Derivatives by an error and its first two derivatives, of those by q, v and a."""
     by_q, by_v, by_a = derivatives
@@ -219,12 +216,6 @@ def _bracket(twist: Array) -> Array:
     out[:3, :3] = out[3:, 3:] = so3.skew(twist[3:])
     out[:3, 3:] = so3.skew(twist[:3])
     return out
-
-
-def _link_joint(skeleton: SkeletonModel, name: str) -> int:
-    """Pinocchio's index of the last of the three revolutes of a joint, which carries its link."""
-    joint = skeleton.table.joints[skeleton.names.index(name)]
-    return int(skeleton.model.getJointId(joint.dofs[-1].urdf))
 
 
 def _segment_shares(skeleton: SkeletonModel) -> tuple[tuple[str, ...], Array]:
@@ -333,14 +324,9 @@ def pose_errors(skeleton: SkeletonModel, q: Array, confidence: Confidence, R: Ar
         turns[:, j, :, own] += rest
         rows = 6 + np.array([skeleton.dof_names.index(dof.urdf) for dof in skeleton.table.joints[j].dofs])
         factors[:, rows] = _revolutes(skeleton, j, q) @ (turns[:, j] - parents_turn)
-    return PoseErrors(factors, cause_groups(skeleton))
-
-
-def cause_groups(skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the group of each of the 3 (J + 1) causes: three of the root's position, three per segment."""
     segments = [max(joint.mass_shares, key=lambda share: share[1])[0] for joint in skeleton.table.joints]
-    own = ["position", *(GROUPS.get(segment, "trunk") for segment in segments)]
-    return tuple(group for group in own for _ in range(3))
+    groups = ["position", *(GROUPS.get(segment, "trunk") for segment in segments)]
+    return PoseErrors(factors, tuple(group for group in groups for _ in range(3)))
 
 
 def _given_parent(child: Array, parent: Array, relative: Array) -> tuple[Array, Array]:

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from rtof_kin.calibration.offset_scan import OffsetScan
@@ -88,18 +87,15 @@ class Samples:
             band = float(np.mean([range_deviation(*pair) for pair in ends]))
         return Measured(self.values[rows, high] - self.values[rows, low], band)
 
-    def high(self) -> Measured:
+    def high(self, sign: int = 1) -> Measured:
         """Return the largest angle of each repeat."""
-        return self._at(np.nanargmax(self.values, axis=1))
+        rows, phase = np.arange(len(self.values)), np.nanargmax(sign * self.values, axis=1)
+        band = 0.0 if self.sigma is None else float(np.mean(self.sigma[rows, phase]))
+        return Measured(self.values[rows, phase], band)
 
     def low(self) -> Measured:
         """Return the smallest angle of each repeat."""
-        return self._at(np.nanargmin(self.values, axis=1))
-
-    def _at(self, phase: NDArray[np.intp]) -> Measured:
-        rows = np.arange(len(self.values))
-        band = 0.0 if self.sigma is None else float(np.mean(self.sigma[rows, phase]))
-        return Measured(self.values[rows, phase], band)
+        return self.high(-1)
 
 
 @dataclass(frozen=True)
@@ -168,11 +164,10 @@ def over_phases(
             continue
         first, second = repeats_of(a, name, spans_a[side]), repeats_of(b, name, spans_b[side])
         paired = list(spans_a[side]) == list(spans_b[side]) and np.array_equal(a.times, b.times)
+        complete = [first.complete, second.complete]
         if paired:
-            both = first.complete & second.complete
-            first, second = first.only(both), second.only(both)
-        else:
-            first, second = first.only(first.complete), second.only(second.complete)
+            complete = [complete[0] & complete[1]] * 2
+        first, second = first.only(complete[0]), second.only(complete[1])
         if len(first.values) and len(second.values):
             middle = np.median(first.values)
             turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)

@@ -435,13 +435,21 @@ def _followed(
     better: Mapping[str, Better],
     shares: BandShares,
 ) -> Followed:
-    if measure.unit == "deg" and not measure.name.endswith("_range"):
-        own = _one_turn(own, baseline)
+    if measure.unit == "deg" and not measure.name.endswith("_range") and (first := own[baseline]) is not None:
+        middle = np.median(first.values)  # values within half a turn of the baseline
+        turns = [np.round((one.values - middle) / _TURN) if one is not None else 0.0 for one in own]
+        own = [one and replace(one, values=one.values - _TURN * turn) for one, turn in zip(own, turns, strict=True)]
     widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
     own = [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
     errors = measurement_errors([one for one in own if one is not None], shares)
-    why_not = _why_not(measure, errors, repeated)
-    first = own[baseline]
+    why_not, first = "", own[baseline]
+    if measure.is_gait and not (repeated is Repeated.TRIALS and errors.within[1]):
+        why_not = (
+            "no visit has two trials of it, so nothing says how much it varies from one walk to the next; "
+            "record each walk two times or more"
+        )
+    elif not errors.both.sem > 0:
+        why_not = "nothing states its error: the motions have no bands, and it was not repeated"
     changes: list[Change | None] = []
     for number, one in enumerate(own):
         if number == baseline or one is None or first is None:
@@ -450,26 +458,3 @@ def _followed(
         found = change_with(measure.name, first.mean, one.mean, errors.of_change(first, one))
         changes.append(replace(found, p=float("nan")) if why_not else found)
     return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)
-
-
-def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) -> str:
-    if measure.is_gait and not (repeated is Repeated.TRIALS and errors.within[1]):
-        return (
-            "no visit has two trials of it, so nothing says how much it varies from one walk to the next; "
-            "record each walk two times or more"
-        )
-    if not errors.both.sem > 0:
-        return "nothing states its error: the motions have no bands, and it was not repeated"
-    return ""
-
-
-def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | None]:
-    """Values within half a turn of the baseline."""
-    first = own[baseline]
-    if first is None:
-        return list(own)
-    middle = np.median(first.values)
-    return [
-        None if one is None else Measured(one.values - _TURN * np.round((one.values - middle) / _TURN), one.band_sigma)
-        for one in own
-    ]

@@ -92,12 +92,12 @@ def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Repeated) -
         for start, stop in signals.runs(np.isfinite(height))
         for dip in _dips(paths.times[start:stop], height[start:stop], paths.rate_hz, leg)
     ]
-    knees = angles.select([f"{side}_knee_flexion" for side in SIDES])
-    found = [
-        replace(dip, knee_flexion=_knee_flexion(dip, knees.times, knees.trusted_values))
-        for dip in dips
-        if dip.ascent is not None and (kind == "sit_to_stand" or dip.descent is not None)
-    ]
+    knees, found = angles.select([f"{side}_knee_flexion" for side in SIDES]), []
+    for dip in dips:
+        if dip.ascent is not None and (kind == "sit_to_stand" or dip.descent is not None):
+            moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
+            own = knees.trusted_values[signals.within(knees.times, min(moments), max(moments))]
+            found.append(replace(dip, knee_flexion=dict(zip(SIDES, map(_largest, own.T), strict=True))))
     if len(found) < len(dips):
         notes.append(f"{len(dips) - len(found)} movement(s) cut by a gap or an end are not counted")
     if not dips:
@@ -154,11 +154,5 @@ def _rise(times: Array, height: Array, least: float) -> Interval | None:
     return float(times[left]), float(times[reached])
 
 
-def _knee_flexion(dip: Repetition, times: Array, flexion: Array) -> dict[str, float]:
-    """Side -> largest reliable knee flexion (T, sides), rad, within a repetition; NaN if none."""
-    moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
-    own = flexion[signals.within(times, min(moments), max(moments))]
-    return {
-        side: float(np.nanmax(knee)) if np.isfinite(knee).any() else float("nan")
-        for side, knee in zip(SIDES, own.T, strict=True)
-    }
+def _largest(values: Array) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")

@@ -84,16 +84,13 @@ class Travel:
     @property
     def turns(self) -> str:
         """Turns in words: 'turning 87 \u00b1 30\u00b0 left', 'without turns', or '' if that is not known."""
-        sides = (
-            ("left", self.turned_left, self.turned_left_sigma),
-            ("right", self.turned_right, self.turned_right_sigma),
-        )
         said = []
-        for side, turn, sigma in sides:
+        for side in ("left", "right"):
+            turn, sigma = (float(np.degrees(getattr(self, f"turned_{side}{kind}"))) for kind in ("", "_sigma"))
             if turn > 0 and np.isfinite(sigma):
-                said.append(f"{np.degrees(turn):.0f} \u00b1 {np.degrees(BAND_95 * sigma):.0f}\u00b0 {side}")
+                said.append(f"{turn:.0f} \u00b1 {BAND_95 * sigma:.0f}\u00b0 {side}")
             elif turn > 0:
-                said.append(f"about {np.degrees(turn):.0f}\u00b0 {side}")
+                said.append(f"about {turn:.0f}\u00b0 {side}")
         if said:
             return f"turning {' and '.join(said)}"
         return "" if self.unsure_turns or np.isnan(self.turned_left) else "without turns"
@@ -198,8 +195,7 @@ def _turning_points(values: Array, least: float) -> list[int]:
 
 def _path_length(path: Array) -> float:
     """Length of a path (N, 2), m, from a point to the next that is `LEAST_WAY` away; NaN if unobserved."""
-    points = path.tolist()
-    if not points:
+    if not (points := path.tolist()):
         return float("nan")
     anchor, way = points[0], 0.0
     for point in points:

@@ -135,7 +135,10 @@ class Human36M:
         uv = self._archives.keypoints(subject, action, camera)
         motion = self.motion(subject, action)
         frames = min(len(uv), len(motion.p_world_joint))
-        truth, uv = self._poses(motion, frames), uv[:frames]
+        p, uv, skeleton = motion.p_world_joint[:frames], uv[:frames], self.skeleton
+        R = kinematics.rotations_from_positions(skeleton.parents, motion.joint_offsets, p)
+        times, observed = np.arange(frames) / motion.rate_hz, skeleton.orientation_observed()
+        truth = PoseSequence(times, p, R, skeleton.names, orientation_observed=observed)
         seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
         return Recording(
             name=f"{subject} {action} cam{camera}",
@@ -145,17 +148,6 @@ class Human36M:
             truth=truth,
             acknowledgement=ACKNOWLEDGEMENT,
             notes=self._remark(subject, action, camera, _reprojection(cam, truth.p_world_joint, uv)),
-        )
-
-    def _poses(self, motion: ActionMotion, frames: int) -> PoseSequence:
-        """Return the first frames of a motion, with orientations from the positions."""
-        p, parents = motion.p_world_joint[:frames], self.skeleton.parents
-        return PoseSequence(
-            times=np.arange(frames) / motion.rate_hz,
-            p_world_joint=p,
-            R_world_bone=kinematics.rotations_from_positions(parents, motion.joint_offsets, p),
-            names=self.skeleton.names,
-            orientation_observed=self.skeleton.orientation_observed(),
         )
 
     def _remark(self, subject: str, action: str, camera: int, error_px: Array) -> str:

@@ -134,10 +134,8 @@ def existing(path: Path, what: str, remedy: str) -> Path:
 
 
 def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Array]]) -> SensorLog:
-    """Return the sensors of a file that has orientations alone.
-
-    Args:
-        what: the format. sensors: name -> times (T,), s, and quaternions w, x, y, z (T, 4).
+    """Return the sensors of a file that has orientations alone: times (T,), s, and quaternions w, x, y, z
+    (T, 4) by name.
 
     Raises:
         FileFormatError: no quaternions, or no sensors.

@@ -319,17 +319,14 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
             rows[cells[0]].append([float(cell) for cell in cells[1:]])
         except ValueError as error:
             raise FileFormatError(path, f"holds something else than numbers ({error})", number) from error
-    return _log(path, {name: np.array(own, dtype=float) for name, own in rows.items()})
-
-
-def _log(path: Path, rows: dict[str, Array]) -> SensorLog:
-    short = [name for name, own in rows.items() if len(own) < 3]
+    found = {name: np.array(own, dtype=float) for name, own in rows.items()}
+    short = [name for name, own in found.items() if len(own) < 3]
     if short:
         raise FileFormatError(path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?")
-    if not all(measurable(own) for own in rows.values()):
+    if not all(measurable(own) for own in found.values()):
         raise FileFormatError(path, "holds a number that cannot be a quaternion or a time")
-    first = min(float(own[1, 4]) for own in rows.values()) if len(next(iter(rows.values()))[0]) == 5 else 0.0
-    return orientation_log(path, "VIDIMU .raw", {n: (_times(own[1:], first), own[1:, :4]) for n, own in rows.items()})
+    first = min(float(own[1, 4]) for own in found.values()) if len(header) == 6 else 0.0
+    return orientation_log(path, "VIDIMU .raw", {n: (_times(own[1:], first), own[1:, :4]) for n, own in found.items()})
 
 
 def _times(rows: Array, first: float) -> Array:

@@ -134,7 +134,13 @@ class Take:
             raise InvalidInputError("noise_px: noise is added to true joints only, not to a detector's")
         if keypoints is None:
             keypoints = self._projected(camera, noise_px, seed)
-        truth = self._cut_to(keypoints)
+        count = min(len(self.truth), len(keypoints))
+        if not np.allclose(self.truth.times[:count], keypoints.times[:count], atol=0.1 / RATE_HZ):
+            raise InvalidInputError(
+                f"{self.subject} {self.name}: keypoints must begin at time 0 and have {RATE_HZ:g} "
+                "samples a second, as the videos do"
+            )
+        truth = self.truth[:count]
         imus, calibration = self._sensors(sensors)
         notes = [*self.notes, *self.missing]
         if len(keypoints) != len(self.truth):
@@ -154,11 +160,7 @@ class Take:
         )
 
     def camera(self, number: int) -> Camera:
-        """Return a camera, 1 to 8.
-
-        Raises:
-            UnknownNameError: no such camera, or no calibration of the cameras.
-        """
+        """Return a camera, 1 to 8; raises UnknownNameError: no such camera, or no calibration of the cameras."""
         if number not in self.cameras:
             known = [str(n) for n in self.cameras] or ["none, without calibration.cal"]
             raise UnknownNameError("camera", [str(number)], known)
@@ -174,15 +176,6 @@ class Take:
         confidence = np.isfinite(uv).all(axis=-1).astype(float)
         return KeypointSequence(camera, self.truth.times, uv, confidence, self.truth.names)
 
-    def _cut_to(self, keypoints: KeypointSequence) -> PoseSequence:
-        count = min(len(self.truth), len(keypoints))
-        if not np.allclose(self.truth.times[:count], keypoints.times[:count], atol=0.1 / RATE_HZ):
-            raise InvalidInputError(
-                f"{self.subject} {self.name}: keypoints must begin at time 0 and have {RATE_HZ:g} "
-                "samples a second, as the videos do"
-            )
-        return self.truth[:count]
-
     def _sensors(self, names: Sequence[str] | None) -> tuple[ImuSequence | None, ImuCalibration | None]:
         if names is not None and not names:
             return None, None
@@ -195,11 +188,7 @@ class TotalCapture:
     """The dataset in a folder. Files are searched once, and read when a take is requested."""
 
     def __init__(self, root: str | Path):
-        """Search for the files.
-
-        Raises:
-            FileFormatError: there is no such folder, or no file of the dataset in it.
-        """
+        """Search for the files; raises FileFormatError: there is no such folder, or no file of the dataset in it."""
         self.root = Path(root)
         self.index: FileIndex = find_files(self.root)
 
@@ -219,14 +208,6 @@ class TotalCapture:
             for number, camera in read_cameras(path).items()
         }
 
-    def _missing_of(self, take: tuple[str, str]) -> list[str]:
-        have = set(self.index.files.get(take, ()))
-        if not have:
-            return ["file at all"]
-        if "aux_sensors" in have:
-            have.add("sensors")
-        return [text for kind, text in _NEEDED.items() if kind not in have]
-
     def take(self, subject: str, name: str) -> Take:
         """Read a take of S1 to S5, such as acting3.
 
@@ -244,7 +225,8 @@ class TotalCapture:
             )
         notes = list(truth.notes)
         imus, calibration = self._imus(key, len(truth.poses), notes)
-        missing = [f"no {what}" for what in self._missing_of(key)]
+        have = {kind.replace("aux_", "") for kind in self.index.files[key]}
+        missing = [f"no {what}" for kind, what in _NEEDED.items() if kind not in have]
         if not self.cameras:
             missing.append(f"no cameras ({CAMERA_FILE})")
         return Take(
@@ -361,7 +343,10 @@ _T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand", "RightL
 
 def check_take(take: Take) -> list[Check]:
     """Check the T-pose and facing at frame 0, the body's size, rigidity, and every sensor."""
-    checks = [*_check_start(take), _check_size(take), _check_bones(take)]
+    height = take.skeleton.height  # wrong if positions are not in inches
+    advice = f"It stands {height:.3g} m tall: are the file's positions in inches, as the dataset's are?"
+    size = Check(f"standing height from {_HEIGHT} m", "take", abs(height - _HEIGHT), _HEIGHT_RANGE, "m", advice)
+    checks = [*_check_start(take), size, _check_bones(take)]
     if take.imus is not None and take.calibration is not None:
         bone_imus = take.calibration.apply(take.imus)
         checks += _check_orientations(take, bone_imus, take.imus.names)
@@ -373,10 +358,9 @@ def check_camera(camera: int) -> list[Check]:
     """Return a failed check for a camera, 1 to 8, that is known to be miscalibrated, none for others."""
     if camera not in MISCALIBRATED:
         return []
-    advice = f"{_sentence(MISCALIBRATED[camera])}; ground-truth 2D is not affected"
-    return [
-        Check("known bias of the calibration", f"camera {camera}", _BIAS_PX[camera], _REPROJECTION_PX, "px", advice)
-    ]
+    advice = f"{MISCALIBRATED[camera].capitalize()}; ground-truth 2D is not affected"
+    name = "known bias of the calibration"
+    return [Check(name, f"camera {camera}", _BIAS_PX[camera], _REPROJECTION_PX, "px", advice)]
 
 
 def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> list[Check]:
@@ -393,7 +377,7 @@ def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> lis
     error = np.linalg.norm(keypoints.select(names).uv_px[:count] - true, axis=-1)
     advice = "Detections of another take, person or camera, or landmarks far from the joints?"
     if camera in MISCALIBRATED:
-        advice = _sentence(MISCALIBRATED[camera])
+        advice = MISCALIBRATED[camera].capitalize()
     value = _median(error)
     return [Check("median reprojection", f"camera {camera}", value, _REPROJECTION_PX, "px", advice)]
 
@@ -418,14 +402,6 @@ def _check_start(take: Take) -> Iterator[Check]:
     yield Check(name, "take", float(angles[worst]), _T_POSE_DEG, "deg", advice)
 
 
-def _check_size(take: Take) -> Check:
-    """Check the standing height, which is wrong if positions are not in inches."""
-    height = take.skeleton.height
-    advice = f"It stands {height:.3g} m tall: are the file's positions in inches, as the dataset's are?"
-    off = abs(height - _HEIGHT)
-    return Check(f"standing height from {_HEIGHT} m", "take", off, _HEIGHT_RANGE, "m", advice)
-
-
 def _check_bones(take: Take) -> Check:
     """Check that the skeleton is rigid; with derived orientations, that bones have constant length."""
     if np.isfinite(take.spread_mm):
@@ -434,14 +410,8 @@ def _check_bones(take: Take) -> Check:
     p = take.truth.p_world_joint
     lengths = np.linalg.norm(p[:, 1:] - p[:, list(take.skeleton.parents[1:])], axis=-1)
     spread_mm = 1000 * float(np.nanstd(lengths, axis=0).max())
-    return Check(
-        "spread of bone lengths",
-        "take",
-        spread_mm,
-        RIGID_MM,
-        "mm",
-        "The reference's bones are rigid: are the positions damaged?",
-    )
+    advice = "The reference's bones are rigid: are the positions damaged?"
+    return Check("spread of bone lengths", "take", spread_mm, RIGID_MM, "mm", advice)
 
 
 def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
@@ -487,7 +457,3 @@ def _check_accelerations(take: Take, imus: BoneImuSequence, sensors: tuple[str, 
 def _median(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else float("nan")
-
-
-def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:]

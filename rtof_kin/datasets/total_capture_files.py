@@ -76,20 +76,12 @@ class FileIndex:
     """Files whose name and folders do not give subject and take."""
 
     def one(self, take: Take, kind: str) -> Path | None:
-        """Return the file of one of `KINDS`, or None.
-
-        Raises:
-            FileFormatError: there are several, and they differ.
-        """
+        """Return the file of one of `KINDS`, or None; raises FileFormatError: there are several, and they differ."""
         return only_one(self.files.get(take, {}).get(kind, []))
 
 
 def only_one(candidates: list[Path]) -> Path | None:
-    """Return the first of several equal files, or None without any.
-
-    Raises:
-        FileFormatError: they differ.
-    """
+    """Return the first of several equal files, or None without any; raises FileFormatError: they differ."""
     if not candidates:
         return None
     first, *others = candidates
@@ -127,7 +119,8 @@ def find_files(root: str | Path) -> FileIndex:
             index.unassigned.append(path)
         else:
             index.files.setdefault(take, {}).setdefault(kind, []).append(path)
-    _forget_second_names(index)
+    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
+    index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]  # second names, of links
     if not index.files:
         problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
         if index.unassigned:
@@ -137,12 +130,6 @@ def find_files(root: str | Path) -> FileIndex:
         for path in paths:
             _log.warning("%s: %s; not used", path, reason)
     return index
-
-
-def _forget_second_names(index: FileIndex) -> None:
-    """Drop unassigned paths (of links) to files that were found under another path."""
-    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
-    index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]
 
 
 def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:

@@ -30,17 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 MARKER: Final = "plan.json"
-COLUMNS: Final = (
-    "angle",
-    "shown",
-    "sd_deg",
-    "half_band_deg",
-    "simulated_error_deg",
-    "inside_95",
-    "observed_share",
-    "identifiable",
-    "confused_with",
-)
+_ACCURACY: Final = "sd_deg half_band_deg simulated_error_deg inside_95 observed_share"
+COLUMNS: Final = ("angle", "shown", *_ACCURACY.split(), "identifiable", "confused_with")
 _CLEAR: Final = 0.1
 """Least gain in the mean standard deviation, relative to it, that is worth a change: others are within the
 scatter of a few simulated recordings."""
@@ -298,13 +289,7 @@ def plan_figure(plan: Plan) -> Plot:
     _draw_angles(figure.add_subplot(grid[:, 0]), plan)
     _draw_options(figure.add_subplot(grid[0, 1]), _shortened(plan.cameras), "camera place")
     named = [
-        Option(
-            " at ".join(dict.fromkeys((o.name, where(plan.setup, o.name)))) if o.name else "as planned",
-            o.loss,
-            o.gain,
-            o.most,
-            o.problem,
-        )
+        replace(o, name=" at ".join(dict.fromkeys((o.name, where(plan.setup, o.name)))) if o.name else "as planned")
         for o in plan.sensors
     ]
     _draw_options(figure.add_subplot(grid[1, 1]), named, "one more sensor")

@@ -63,13 +63,10 @@ class Weakness:
         """The reason in words, the direction first."""
         name = self.angle.replace("_", " ")
         if not self.confused_with:
-            return f"{name}: image and sensors alone leave a standard deviation of {self._degrees}"
+            size = "more than 90 deg" if self.sigma > np.pi / 2 else f"{np.degrees(self.sigma):.0f} deg"
+            return f"{name}: image and sensors alone leave a standard deviation of {size}"
         other = self.confused_with.replace("_", " ")
         return f"{name} against {other}: a change of both leaves image and sensors nearly as they are"
-
-    @property
-    def _degrees(self) -> str:
-        return "more than 90 deg" if self.sigma > np.pi / 2 else f"{np.degrees(self.sigma):.0f} deg"
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ SIDES: Final = ("Left", "Right")
 MOST_EXTENDED: Final = 0.9992
 """Largest distance from hip to ankle, share of thigh and shank: the knee keeps five degrees."""
 MOST_REPETITIONS: Final = 100
+_default = lru_cache(maxsize=1)(SkeletonModel.default)
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,9 @@ def planted(
     p_hip = p_root[:, None] + np.einsum("tij,sj->tsi", R[:, 0], offsets[thighs])
     ball_in_foot = np.array([skeleton.landmarks[f"{side}ToeBase"][1] for side in SIDES])
     p_ankle = leg * stored.balls + [0, 0, ball - heel] - np.einsum("tsij,sj->tsi", R_feet, ball_in_foot)
-    lowered = _missing(p_hip, p_ankle, lengths[shanks] + lengths[feet])
+    way, legs = p_hip - p_ankle, lengths[shanks] + lengths[feet]
+    most = np.sqrt(np.maximum((MOST_EXTENDED * legs) ** 2 - np.sum(way[..., :2] ** 2, axis=-1), 0.0))
+    lowered = max(float((way[..., 2] - most).max()), 0.0)  # for the legs to reach the ankles
     p_root[:, 2] -= lowered
     p_hip[..., 2] -= lowered
     p_knee = _knees(p_hip, p_ankle, R[:, thighs][..., 0], lengths[shanks], lengths[feet])
@@ -160,13 +163,6 @@ def planted(
         rest = np.einsum("tsij,sj->tsi", R[:, parent], offsets[child])
         R[:, parent] = so3.minimal_rotation(rest, bone) @ R[:, parent]
     return PoseSequence(times, kinematics.positions(parents, offsets, p_root, R), R, skeleton.names)
-
-
-def _missing(p_hip: Array, p_ankle: Array, legs: Array) -> float:
-    """Return by how much hips (T, 2, 3) have to be lowered for legs (2,) to reach ankles (T, 2, 3), m."""
-    way = p_hip - p_ankle
-    most = np.sqrt(np.maximum((MOST_EXTENDED * legs) ** 2 - np.sum(way[..., :2] ** 2, axis=-1), 0.0))
-    return max(float((way[..., 2] - most).max()), 0.0)
 
 
 def _knees(p_hip: Array, p_ankle: Array, forward: Array, thigh: Array, shank: Array) -> Array:
@@ -178,11 +174,6 @@ def _knees(p_hip: Array, p_ankle: Array, forward: Array, thigh: Array, shank: Ar
     cosine = (thigh**2 + distance**2 - shank**2) / (2 * thigh * distance)
     sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
     return np.asarray(p_hip + thigh[:, None] * (cosine[..., None] * along + sine[..., None] * across))
-
-
-@lru_cache(maxsize=1)
-def _default() -> SkeletonModel:
-    return SkeletonModel.default()
 
 
 @lru_cache(maxsize=16)

@@ -53,12 +53,7 @@ def draw_setup(
 ) -> Framing:
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
-    Args:
-        poses: of the movement, on the floor z = 0. sensors: names in the skeleton's table.
-        path: .png or .svg file, which is replaced.
-
-    Returns:
-        The numbers that are written in the drawing.
+    The movement is on the floor z = 0; a .png or .svg file is replaced. Returns the numbers written in the drawing.
 
     Raises:
         UnknownNameError: a sensor that the skeleton does not have.
@@ -72,7 +67,7 @@ def draw_setup(
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
     grid = figure.add_gridspec(2, 3, height_ratios=(1.9, 1), width_ratios=(1.0, 1.2, 1.2))
     _floor(figure.add_subplot(grid[0, 0]), poses, camera, place)
-    front = {name: text for name, text in places.items() if not _behind(skeleton, name)}
+    front = {name: text for name, text in places.items() if skeleton.sensors[name][0] != skeleton.names[0]}
     back = {name: text for name, text in places.items() if name not in front}
     _body(figure.add_subplot(grid[:, 1]), skeleton, front, -1.0, "front")
     _body(figure.add_subplot(grid[:, 2]), skeleton, back, 1.0, "back")
@@ -82,11 +77,6 @@ def draw_setup(
         kind = path.suffix[1:]
         figure.savefig(whole, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else None)
     return place
-
-
-def _behind(skeleton: SkeletonModel, sensor: str) -> bool:
-    """Return whether a sensor is seen from the back only."""
-    return skeleton.sensors[sensor][0] == skeleton.names[0]
 
 
 def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None:
@@ -106,19 +96,10 @@ def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None
     ax.plot(*at, "s", color=CAMERA, ms=9)
     ax.plot(*np.stack([at, place.middle]).T, "--", color=CAMERA, lw=1)
     ax.plot(*place.middle, "+", color=CAMERA, ms=9)
-    ax.annotate(
-        f"lens {place.height:.2f} m high,\n{_tilt(place.tilt_deg)}",
-        at,
-        (0, -8),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        color=CAMERA,
-        fontsize=7.5,
-    )
-    ax.annotate(
-        f"{place.distance:.2f} m", (at + place.middle) / 2, (4, 4), textcoords="offset points", color=CAMERA, fontsize=8
-    )
+    style: Any = {"textcoords": "offset points", "color": CAMERA}
+    lens = f"lens {place.height:.2f} m high,\n{_tilt(place.tilt_deg)}"
+    ax.annotate(lens, at, (0, -8), ha="center", va="top", fontsize=7.5, **style)
+    ax.annotate(f"{place.distance:.2f} m", (at + place.middle) / 2, (4, 4), fontsize=8, **style)
     ax.set_title(
         f"Camera {place.distance:.2f} m from the cross,\n{place.side},\n"
         f"field of view {place.field_deg[0]:.0f}°; arrow: facing at the start",
@@ -155,21 +136,14 @@ def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float,
         joint, offset = skeleton.sensors[name]
         (j,) = skeleton.index(joint)
         spots[name] = flat(p[0, j] + R[0, j] @ offset)
+    style: Any = {"arrowprops": {"arrowstyle": "-", "color": SENSOR, "lw": 0.8}, "in_layout": False}
     for side in (-1, 1):
+        align = "left" if side > 0 else "right"
         own = sorted((n for n in spots if (spots[n][0] >= 0) == (side > 0)), key=lambda n: -spots[n][1])
         heights = _spread([float(spots[name][1]) for name in own])
         for name, height in zip(own, heights, strict=True):
-            place = textwrap.wrap(places[name], _LABEL_WIDTH)
-            ax.annotate(
-                "\n".join([name, *place]),
-                spots[name],
-                (side * 0.36, height),
-                va="center",
-                ha="left" if side > 0 else "right",
-                fontsize=7.5,
-                arrowprops={"arrowstyle": "-", "color": SENSOR, "lw": 0.8},
-                in_layout=False,
-            )
+            text = "\n".join([name, *textwrap.wrap(places[name], _LABEL_WIDTH)])
+            ax.annotate(text, spots[name], (side * 0.36, height), va="center", ha=align, fontsize=7.5, **style)
         if own:
             ax.plot(*np.stack([spots[n] for n in own]).T, "s", color=SENSOR, ms=6, mec="k", mew=0.5)
     ax.text(-0.26, -0.08, "L" if sign > 0 else "R", color=LEFT if sign > 0 else RIGHT, fontsize=9)
@@ -235,10 +209,8 @@ def operator_page(
 ) -> str:
     """Return the sheet as HTML in one file, without network access.
 
-    Args:
-        steps: what the operator does, in order, e.g. of `operator_steps`.
-        drawing_svg: text of the SVG of `draw_setup`.
-        doubts: what is wrong or unsure about this set-up, with its remedy; shown first.
+    Shown first are `doubts`: what is wrong or unsure about this set-up, with its remedy; then the drawing's SVG text
+    and the steps, e.g. of `operator_steps`, in order.
 
     Raises:
         InvalidInputError: more text than fits on the sheet.

@@ -125,14 +125,9 @@ def predict(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Prediction | str]:
-    """Predict the errors of several setups with the same draws of detector and sensors.
+    """Predict the errors of several setups with the same draws of detector and sensors, `draws` from `seed` on.
 
-    Args:
-        draws: simulated recordings of each. seed: of the first. lifter: as for `reconstruct`.
-        workers: processes, one per core if None.
-
-    Returns:
-        The prediction of each setup, or why there is none, such as a person out of view.
+    Returns the prediction of each setup, or why there is none, such as a person out of view.
     """
     if draws < 1:
         raise InvalidInputError(f"plan: {draws} draws; at least one simulated recording is needed")
@@ -195,16 +190,15 @@ class CalibrationTime:
         times = [time for time in needed.values() if time is not None]
         never = [kind for kind, time in needed.items() if time is None]
         if not never:
-            return f"Move for at least {max(times):.0f} s, for the calibration to observe {_listed(needed)}."
-        left = ", ".join(f"{kind} ({_value(kind, self._worst(kind))} left)" for kind in never)
+            *others, last = needed
+            kinds = f"{', '.join(others)} and {last}"
+            return f"Move for at least {max(times):.0f} s, for the calibration to observe {kinds}."
+        worst = {kind: UNITS[kind][0] * max(self.sigma[kind][-1], self.error[kind][-1]) for kind in never}
+        left = ", ".join(f"{kind} ({value:.0f} {UNITS[kind][1]} left)" for kind, value in worst.items())
         return (
             f"{self.seconds[-1]:.0f} s of this movement do not let the calibration observe {left}: add the "
             "movement 'calibration', or calibrate by a pose."
         )
-
-    def _worst(self, kind: str) -> float:
-        """The larger of what is stated and what is left after the longest movement."""
-        return float(max(self.sigma[kind][-1], self.error[kind][-1]))
 
 
 @dataclass(frozen=True)
@@ -224,15 +218,8 @@ def calibration_time(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> CalibrationTime:
-    """Return how well lengths of a movement calibrate the sensors.
-
-    Recordings of several lengths are simulated with the errors of sensors put on by hand, and calibrated from their own
-    motion as real ones are. Standard deviations are those of the calibration's information matrix; the simulated errors
-    check them.
-
-    Args:
-        setup: with the movement; lengths beyond it are left out. draws: simulated recordings of each length.
-        seed: of the first. lifter: as for `reconstruct`. workers: processes, one per core if None.
+    """Return how well lengths of a movement, `draws` recordings of each, calibrate the sensors; lengths
+    beyond the movement of the setup are left out.
 
     Raises:
         InvalidInputError: there are no sensors, or the movement is too short. RtofError: no simulated
@@ -272,16 +259,10 @@ def _measure(run: _Run) -> JobResult:
     with without_warnings():
         found = calibrate_recording(wrong, priors=_PRIORS, lifter=run.lifter, settings=SETTINGS)
     corrected = found.apply(wrong)
-    arrays: dict[str, Any] = {
-        kind: np.mean(
-            [
-                np.mean(q.sigma[:1] ** 2 if kind != "mounting" else q.sigma**2)
-                for q in found.quantities
-                if q.kind == kind
-            ]
-        )
-        for kind in PLANTED
-    }
+    arrays: dict[str, Any] = {}
+    for kind in PLANTED:
+        own = [q.sigma if kind == "mounting" else q.sigma[:1] for q in found.quantities if q.kind == kind]
+        arrays[kind] = np.mean([np.mean(sigma**2) for sigma in own])
     return JobResult({}, arrays | {f"{kind} error": v for kind, v in _left(corrected, true).items()})
 
 
@@ -308,13 +289,3 @@ def _left(found: Recording, true: Recording) -> dict[str, Array]:
     mounted = so3.log(np.swapaxes(b.R_sensor_bone, -1, -2) @ a.R_sensor_bone)
     late = found.video.times[0] - true.video.times[0]
     return {"delay": np.square(late), "heading": np.mean(turned[:, 2] ** 2), "mounting": np.mean(mounted**2)}
-
-
-def _value(kind: str, value: float) -> str:
-    factor, unit = UNITS[kind]
-    return f"{factor * value:.0f} {unit}"
-
-
-def _listed(kinds: Sequence[str] | dict[str, Any]) -> str:
-    *others, last = kinds
-    return f"{', '.join(others)} and {last}"

@@ -129,12 +129,12 @@ def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, 
         UnknownNameError: a sensor that it does not have.
     """
     indices_of("sensor", sensors, list(skeleton.sensors))
-    return {name: _place(skeleton.sensors[name][0]) for name in sensors}
-
-
-def _place(joint: str) -> str:
-    side = "left" if joint.startswith("Left") else "right"
-    return next(words for end, words in _PLACES.items() if joint.endswith(end)).format(side=side)
+    found = {}
+    for name in sensors:
+        joint, _ = skeleton.sensors[name]
+        side = "left" if joint.startswith("Left") else "right"
+        found[name] = next(words for end, words in _PLACES.items() if joint.endswith(end)).format(side=side)
+    return found
 
 
 DETECTORS: Final = ("mediapipe33", "coco17")

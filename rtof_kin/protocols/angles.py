@@ -66,8 +66,7 @@ def against_recording(motion: Motion, recording: Recording, movement: Movement =
 def against_opensim(motion: Motion, path: Path, movement: Movement = "other", reach: float = 1.0) -> Document:
     """Compare with OpenSim's coordinates, whose zeros are those of their model; the clocks are aligned.
 
-    Args:
-        path: a ``.mot`` or ``.sto``. reach: s, largest difference of the clocks that is searched.
+    The file is a ``.mot`` or ``.sto``; differences of the clocks up to `reach`, s, are searched.
 
     Raises:
         FileFormatError: no such table. InvalidInputError: no angle is in both.

@@ -302,16 +302,12 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
     use = [k for k in np.unique(piece) if known[piece == k].any()]
     at = np.array([poses.times[piece == k].mean() for k in use])
     heading = np.unwrap([float(so3.heading(M[piece == k].sum(axis=0))) for k in use])
-    angle, sigma = _regressed(at, heading, sigma_rate)
-    return HeadingDrift(poses.times, np.interp(poses.times, at, angle), np.interp(poses.times, at, sigma))
-
-
-def _regressed(at: Array, heading: Array, sigma_rate: float) -> tuple[Array, Array]:
-    """Return the drift (n,) less its mean, which the camera's pose has, and its standard deviation (n,)."""
+    # The drift (n,) less its mean, which the camera's pose has, and its standard deviation (n,).
     line = sigma_rate**2 * np.multiply.outer(at - at.mean(), at - at.mean())
     prior = line + _SIGMA_WALK**2 * np.minimum.outer(at - at[0], at - at[0])
     centre = np.eye(len(at)) - 1 / len(at)
     prior = centre @ prior @ centre
     gain = np.linalg.solve(prior + _SIGMA_MEAN**2 * np.eye(len(at)), prior).T
     variance = np.diag(prior - gain @ prior)
-    return gain @ (centre @ heading), np.sqrt(np.maximum(variance, 0.0))
+    angle, sigma = gain @ (centre @ heading), np.sqrt(np.maximum(variance, 0.0))
+    return HeadingDrift(poses.times, np.interp(poses.times, at, angle), np.interp(poses.times, at, sigma))

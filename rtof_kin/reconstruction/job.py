@@ -85,10 +85,8 @@ class Job:
         return job.with_solver(calibration)
 
     def with_solver(self, calibration: SelfCalibration | None) -> Job:
-        """Return the job with the settings of the fragment solver, on the recording's floor if it has one.
-
-        Args:
-            calibration: of the recording, which may have raised the ankles.
+        """Return the job with the settings of the fragment solver, on the recording's floor if it has one;
+        `calibration`: of the recording, which may have raised the ankles.
         """
         solver = self.settings.solver(self.subject)
         if isinstance(solver, JointSpaceSettings) and solver.floor_height is None:

@@ -37,10 +37,8 @@ class LifterLike(Protocol):
         bone_imus: BoneImuSequence | None = None,
         floor_height: float | None = None,
     ) -> LiftedPoses:
-        """Estimate poses in world for every frame, with orientations where the lifter has them.
-
-        Args:
-            joint_offsets: (J, 3) m of the skeleton. floor_height: z of the floor in world, m.
+        """Estimate poses in world for every frame, with orientations where the lifter has them; `joint_offsets`: (J, 3)
+        m of the skeleton; `floor_height`: z of the floor in world, m.
         """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
@@ -19,7 +19,6 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import CameraTurning
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction.prepare import evenly_spaced
@@ -30,11 +29,8 @@ from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStat
 
 
 def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
-    """Return some frames of a reconstruction, with their errors, faults, fragments and warnings.
-
-    Args:
-        kept: its frames to keep.
-        first: number of its first frame in the whole recording, in which the fragments are counted afterwards.
+    """Return some frames of a reconstruction, with their errors, faults, fragments and warnings; `kept`: its frames to
+    keep; `first`: number of its first frame in the whole recording, in which the fragments are counted afterwards.
     """
     times = result.motion.times[kept]
     start, stop = float(times[0]), float(times[-1])
@@ -57,7 +53,11 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
         metrics=scores.get(result.mode),
         stage_metrics=scores,
         root_sigma=None if result.root_sigma is None else result.root_sigma[kept],
-        faults=tuple(_clipped(result.faults, start, stop)),
+        faults=tuple(
+            replace(fault, start=max(fault.start, start), stop=min(fault.stop, stop))
+            for fault in result.faults
+            if fault.start <= stop and fault.stop >= start
+        ),
         warnings=warnings,
     )
 
@@ -88,12 +88,6 @@ def _cut_warnings(result: Reconstruction, cut: FragmentSolution | None, kept: sl
     return others + misfit_warnings(replace(cut, fragments=tuple(own)), off[kept], settings)
 
 
-def _clipped(faults: Iterable[StreamFault], start: float, stop: float) -> Iterator[StreamFault]:
-    for fault in faults:
-        if fault.start <= stop and fault.stop >= start:
-            yield replace(fault, start=max(fault.start, start), stop=min(fault.stop, stop))
-
-
 def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> Reconstruction:
     """Return a part that could not be reconstructed: poses are NaN, nothing is observed.
 
@@ -105,7 +99,11 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
     q = np.full((T, skeleton.nq), np.nan)
     p = np.full((T, len(skeleton.names), 3), np.nan)
     poses = PoseSequence(times, p, np.full((*p.shape, 3), np.nan), skeleton.names)
-    motion = Motion(skeleton, q, poses, skeleton.check(q), _unknown(like.motion.confidence, times))
+    known = like.motion.confidence
+    if known is not None:
+        joints, pairs = (np.full((T, n, 3, 3), np.nan) for n in (len(known.names), len(known.pairs)))
+        known = Confidence(times, known.names, joints, joints, known.pairs, pairs)
+    motion = Motion(skeleton, q, poses, skeleton.check(q), known)
     keypoints, imus = like.keypoints, like.bone_imus
     if keypoints is not None:
         keypoints = evenly_spaced(recording.keypoints or keypoints, times)
@@ -132,15 +130,6 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
         checks=(),
         warnings=(f"{times[0]:.1f} to {times[-1]:.1f} s: not reconstructed: {why}",),
     )
-
-
-def _unknown(like: Confidence | None, times: Array) -> Confidence | None:
-    """Covariances of NaN."""
-    if like is None:
-        return None
-    T, J, P = len(times), len(like.names), len(like.pairs)
-    joints = np.full((T, J, 3, 3), np.nan)
-    return Confidence(times, like.names, joints, joints, like.pairs, np.full((T, P, 3, 3), np.nan))
 
 
 class Seam:

@@ -76,9 +76,7 @@ class Part:
 
 
 def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECONDS) -> list[Part]:
-    """Return the parts of a recording of `seconds`, at borders of multiples of frames; the last has half of it at
-    least.
-    """
+    """Return the parts of a recording, borders at multiples of frames; the last has half of `seconds` at least."""
     length = max(round(seconds * rate_hz / step), 1) * step
     margin = max(-(-round(MARGIN_SECONDS * rate_hz) // step), 4) * step
     borders = [*range(0, max(frames - length // 2, 1), length), frames]
@@ -277,9 +275,7 @@ def _thinned(source: RecordingSource) -> KeypointSequence:
 
 
 def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
-    """Yield times of short slices of the recording in which the points move most, one of each of its equal
-    parts in which they move at all.
-    """
+    """Yield times of short slices in which the points move most, one of each equal part with any motion."""
     times = keypoints.times
     moves = np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2))
     so_far = np.concatenate([[0.0], np.cumsum(moves)])

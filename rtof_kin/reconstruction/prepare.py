@@ -233,11 +233,8 @@ def evenly_spaced(keypoints: KeypointSequence, times: Array | None = None) -> Ke
 
 
 def even_times(times: Array) -> Array:
-    """Return times (T',) s that jitter by less than 1 % of a frame as they are, others evenly spaced at the
-    mean rate, dropped frames counted.
-
-    Args:
-        times: (T,) s, increasing.
+    """Return times (T',) s that jitter by less than 1 % of a frame as they are, others evenly spaced at the mean rate,
+    dropped frames counted; `times`: (T,) s, increasing.
     """
     if len(times) < 3:
         return times

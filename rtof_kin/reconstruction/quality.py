@@ -51,9 +51,7 @@ def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, po
 
 
 def misfit_warnings(solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings) -> tuple[str, ...]:
-    """Return warnings about intervals in which joints lie far from their keypoints, by `reprojection_errors` (T, L),
-    px.
-    """
+    """Return warnings of intervals in which joints are far from keypoints, by `reprojection_errors` (T, L), px."""
     s = settings.fragment
     if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
         return ()

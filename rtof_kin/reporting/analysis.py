@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 MARKER: Final = "angles.csv"
 _BLOCK: Final = 3600
 """Rows of a table that are formatted at once."""
+_STRIDE: Final = ("side", "start_s", "toe_off_s", "stop_s", "stride_length_m")  # names of the fields of a `Stride`
 _DIGITS: Final = 9  # after the point, of what is written
 _ALL: Final = 17  # significant digits: a number as it is
 WRENCH_COLUMNS: Final = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
@@ -245,16 +246,7 @@ def _gait_facts(gait: GaitAnalysis) -> dict[str, Any]:
             side: {"heel_strikes": foot.strikes.tolist(), "toe_offs": foot.offs.tolist()}
             for side, foot in gait.events.feet.items()
         },
-        "strides": [
-            {
-                "side": s.side,
-                "start_s": s.start,
-                "toe_off_s": s.toe_off,
-                "stop_s": s.stop,
-                "stride_length_m": s.stride_length,
-            }
-            for s in gait.strides
-        ],
+        "strides": [dict(zip(_STRIDE, vars(stride).values(), strict=True)) for stride in gait.strides],
         "summary": {
             side: {
                 name + units.get(name, ""): {"mean": _known(mean), "sd": _known(sd), "strides": n}

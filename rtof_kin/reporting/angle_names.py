@@ -24,15 +24,8 @@ ISB: Final = "isb"
 XZY: Final = "xzy"
 OPENSIM: Final = "opensim"
 MAIN: Final = frozenset(
-    {
-        "spine flexion",
-        "hip flexion",
-        "knee flexion",
-        "ankle dorsiflexion",
-        "shoulder elevation",
-        "shoulder flexion",
-        "elbow flexion",
-    }
+    {"spine flexion", "hip flexion", "knee flexion", "ankle dorsiflexion"}
+    | {"shoulder elevation", "shoulder flexion", "elbow flexion"}
 )
 """Angles that a narrow screen shows at first, without their side."""
 SECOND_SHOULDER: Final = "shoulder_xzy_"

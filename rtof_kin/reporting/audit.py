@@ -154,40 +154,24 @@ def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("sensors", "IMUs", "no sensor was used")
         return
     degree = np.degrees(1.0)
-    figures = (
-        (
-            "orientation residual across the bone",
-            "swing",
-            degree,
-            "deg",
-            np.degrees(_MODEL.sigma_swing),
-            np.degrees(DISAGREES),
+    swing, twist = np.degrees((_MODEL.sigma_swing, _MODEL.sigma_twist)).tolist()
+    acceleration = _MODEL.sigma_acceleration
+    figures = {
+        ("orientation residual across the bone", "swing", degree, "deg", swing, np.degrees(DISAGREES)): (
             "the solver's standard deviation; 12 deg, the limit of a misaligned sensor",
             "mounting, heading, soft tissue, or a slipped sensor",
         ),
-        (
-            "orientation residual about the bone",
-            "twist",
-            degree,
-            "deg",
-            np.degrees(_MODEL.sigma_twist),
-            2 * np.degrees(_MODEL.sigma_twist),
+        ("orientation residual about the bone", "twist", degree, "deg", twist, 2 * twist): (
             "once (forearms: 1.5 times) and twice the solver's standard deviation",
             "soft tissue artefact or mounting",
         ),
-        (
-            "acceleration residual",
-            "acceleration",
-            1.0,
-            "m/s2",
-            2 * _MODEL.sigma_acceleration,
-            8 * _MODEL.sigma_acceleration,
+        ("acceleration residual", "acceleration", 1.0, "m/s2", 2 * acceleration, 8 * acceleration): (
             "twice and eight times the solver's standard deviation per axis; fast motions reach seven",
             "synchronisation, impacts, lever arm, or a loose sensor",
         ),
-    )
+    }
     for s, joint in enumerate(imus.joints):
-        for name, residual, factor, unit, warn, fail, source, note in figures:
+        for (name, residual, factor, unit, warn, fail), (source, note) in figures.items():
             rms, at = factor * float(statistics[residual].rms[s]), float(statistics[residual].largest_at[s])
             note = "the sensor has no data" if math.isnan(rms) else note
             if residual == "twist" and joint.endswith("ForeArm"):  # they turn in themselves
@@ -284,9 +268,9 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("confidence", "motion", why)
         return
     sensors = 0 if (imus := statistics.first.bone_imus) is None else len(imus.joints)
-    note = "the recorded data give no better accuracy"
-    if sensors < _MANY:
-        note = "the recorded data give no better accuracy; add sensors"
+    note = "the recorded data give no better accuracy; add sensors"
+    if sensors >= _MANY:
+        note = note.removesuffix("; add sensors")
     figures = (
         ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
         ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),

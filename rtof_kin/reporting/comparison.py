@@ -19,19 +19,10 @@ from markupsafe import Markup
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical import comparison as clinical
 from rtof_kin.clinical.angles import opensim_angles
-from rtof_kin.clinical.comparison import (
-    AngleComparison,
-    By,
-    Compared,
-    Comparison,
-    agreement,
-    choose_axis,
-    compare_sides,
-    compared,
-)
+from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.clinical.comparison_samples import POOR, Alignment
-from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
+from rtof_kin.clinical.comparison_spm import ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
@@ -89,20 +80,20 @@ def compare(
     if shifted and (b is None or by not in (None, "time")):
         raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
     if b is None:
-        found, why = compare_sides(read_compared(a), by, names=angles, kind=repetitions)
+        found, why = clinical.compare_sides(read_compared(a), by, names=angles, kind=repetitions)
     else:
         first, second = read_compared(a), read_compared(b)
         names = distinct(first, second, (a, b))
         first, second = replace(first, name=names[0]), replace(second, name=names[1])
-        clocks = agreement(first, second)
-        choice = choose_axis(first, second, clocks, "time" if shifted else by)
+        clocks = clinical.agreement(first, second)
+        choice = clinical.choose_axis(first, second, clocks, "time" if shifted else by)
         if align and clocks is None:
             raise InvalidInputError("compare: no common angle moves, so that --align finds no shift; give --shift")
         added = clocks.shift if align and clocks is not None else shift or 0.0
         if choice.by != "time":
             clocks = None
         elif added:
-            clocks = agreement(first, second, added)
+            clocks = clinical.agreement(first, second, added)
         kind, why = repetitions or choice.kind, choice.why
         found = clinical.compare(first, second, choice.by, names=angles, shift=added, alignment=clocks, kind=kind)
     return document(found, why, compare_spm(found) if spm else None, all_printed=bool(angles))
@@ -174,7 +165,7 @@ def read_compared(path: str | Path) -> Compared:
         motion, mode = reader.read(), mode or reader.mode
     named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
     name = named.name + (f" ({mode})" if mode else "")
-    return compared(name, motion, recording)
+    return clinical.compared(name, motion, recording)
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
@@ -237,7 +228,12 @@ def _cautions(found: Comparison) -> list[str]:
                 f"The zero of {one.name} is that of its own model: a constant difference may be one of "
                 "definition; see the errors without offset and the ranges"
             )
-    lines += _outside(found)
+    if often := sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside):
+        names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
+        lines.append(
+            "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
+            f"their means: {names}"
+        )
     single = [letter for k, letter in enumerate("AB") if any(one.repeats[k] == 1 for one in found.angles)]
     if found.by in ("cycle", "repetition") and single:
         lines.append(
@@ -347,18 +343,15 @@ def _clock_cautions(found: Comparison) -> list[str]:
             f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
         )
     if found.shift:
-        lines.append(_sharpness(clocks, found.shift))
+        text = f"The shift of B is {found.shift:+.3f}"
+        text += f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else " s"
+        if np.isfinite(clocks.rival):
+            second = f"{found.shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
+            text += f"; the second best is {second}"
+        if clocks.ambiguous:
+            text += ", nearly as good, as in a periodic movement: check it by an event that both show"
+        lines.append(text)
     return lines
-
-
-def _sharpness(clocks: Alignment, shift: float) -> str:
-    sd = f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else ""
-    text = f"The shift of B is {shift:+.3f}{sd or ' s'}"
-    if np.isfinite(clocks.rival):
-        text += f"; the second best is {shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
-    if clocks.ambiguous:
-        text += ", nearly as good, as in a periodic movement: check it by an event that both show"
-    return text
 
 
 def _band_cautions(found: Comparison) -> list[str]:
@@ -386,32 +379,12 @@ def _band_cautions(found: Comparison) -> list[str]:
     return lines
 
 
-def _outside(found: Comparison) -> list[str]:
-    """Angles whose curves differ by more than the stated errors for long."""
-    often = sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside)
-    if not often:
-        return []
-    names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
-    return [
-        "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
-        f"their means: {names}"
-    ]
-
-
 # --- tables --------------------------------------------------------------------------------------
 
 _DIFFERENCES: Final = ("angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B")
 _ERRORS: Final = (
-    "angle",
-    "RMSE",
-    "MAE",
-    "median",
-    "without offset",
-    "largest",
-    "at",
-    "correlation",
-    "outside band",
-    "compared",
+    *("angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation"),
+    *("outside band", "compared"),
 )
 _ABOUT_DIFFERENCES: Final = Markup(
     '<p class="note">Degrees. Mean angle, and range of motion, of A and B; their difference with the 95 % interval of '
@@ -542,11 +515,9 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
 
 
 def _facts(found: Comparison) -> dict[str, Any]:
-    clocks = found.alignment
-    shifts = (
-        {}
-        if clocks is None
-        else {
+    clocks, shifts = found.alignment, dict[str, float]()
+    if clocks is not None:
+        shifts = {
             "at_the_shift": clocks.unshifted,
             "best": clocks.agreement,
             "best_further_shift_s": clocks.shift,
@@ -554,7 +525,6 @@ def _facts(found: Comparison) -> dict[str, Any]:
             "second_best_further_shift_s": clocks.rival,
             "second_best": clocks.rival_agreement,
         }
-    )
     return {
         "a": found.a.name,
         "b": found.b.name,
@@ -631,35 +601,30 @@ def spm_lines(found: ComparisonSpm) -> list[str]:
 
 
 def _spm_facts(found: ComparisonSpm) -> dict[str, Any]:
+    angles = [
+        {
+            "angle": one.name,
+            "test": "paired" if one.paired else "two-sample, Welch",
+            "repeats": list(one.repeats),
+            "degrees_of_freedom": one.dof,
+            "threshold": one.threshold,
+            "t": list(map(number, one.t)),
+            "clusters": [
+                {"start": c.start, "stop": c.stop, "p": c.p, "larger": "B" if c.sign > 0 else "A"}
+                | {"beyond_bands": c.beyond_bands}
+                for c in one.clusters
+            ],
+        }
+        for one in found.angles
+    ]
     return {
         "differences": "B - A",
         "level_of_each_angle": found.level,
         "correction": "Bonferroni over angles",
         "phases": found.phases.tolist(),
         "sentences": spm_lines(found),
-        "angles": [_angle_facts(one) for one in found.angles],
+        "angles": angles,
         "not_tested": found.not_tested,
-    }
-
-
-def _angle_facts(one: AngleSpm) -> dict[str, Any]:
-    return {
-        "angle": one.name,
-        "test": "paired" if one.paired else "two-sample, Welch",
-        "repeats": list(one.repeats),
-        "degrees_of_freedom": one.dof,
-        "threshold": one.threshold,
-        "t": list(map(number, one.t)),
-        "clusters": [
-            {
-                "start": c.start,
-                "stop": c.stop,
-                "p": c.p,
-                "larger": "B" if c.sign > 0 else "A",
-                "beyond_bands": c.beyond_bands,
-            }
-            for c in one.clusters
-        ],
     }
 
 

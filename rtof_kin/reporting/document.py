@@ -308,6 +308,11 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
     return text if float(text) else text.lstrip("-+")
 
 
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
 def _known(cell: Cell) -> Cell:
     if isinstance(cell, str):
         return _plain(cell)

@@ -56,9 +56,6 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
 
     Positions are relative to the estimate's root, seen from the camera and from its right; without a
     camera, from the front and the right. See `comparable` for mode imu.
-
-    Args:
-        result: of `reconstruct`.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)

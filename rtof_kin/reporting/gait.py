@@ -16,17 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rtof_kin.body.motion_file import MotionReader, file_in, motion_folder, motion_path
+from rtof_kin.clinical import gait_scores as clinical
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.gait_scores import (
-    FEW,
-    DeviationIndex,
-    GaitScores,
-    Score,
-    deviation_index,
-    gait_features,
-    gait_scores,
-    people_scores,
-)
+from rtof_kin.clinical.gait_scores import FEW, DeviationIndex, GaitScores, Score
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
@@ -217,15 +209,15 @@ class ScoredGait:
 
 def score_gait(name: str, cycles: GaitCycles, reference: GaitReference) -> ScoredGait:
     """Return the scores of a motion."""
-    people = people_scores(reference)
+    people = clinical.people_scores(reference)
     if cycles.why_not:
         return ScoredGait(name, cycles, reference, None, {}, cycles.why_not, people)
-    scores = gait_scores(cycles, reference)
+    scores = clinical.gait_scores(cycles, reference)
     try:
-        features = gait_features(reference)
+        features = clinical.gait_features(reference)
     except InvalidInputError as error:
         return ScoredGait(name, cycles, reference, scores, {}, f"{error}.", people)
-    index = {side: deviation_index(scores.curves[side], features) for side in SIDES}
+    index = {side: clinical.deviation_index(scores.curves[side], features) for side in SIDES}
     known = {side: found for side, found in index.items() if found.value == found.value}
     why = "" if known else "It needs all nine variables of a side."
     return ScoredGait(name, cycles, reference, scores, known, why, people)

@@ -37,7 +37,7 @@ from rtof_kin.reporting.audit_results import (
     section_verdict,
 )
 from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
-from rtof_kin.reporting.document import Cell, Table, badge, fixed
+from rtof_kin.reporting.document import Cell, Table, badge, fixed, sentence
 from rtof_kin.reporting.html import css_string, render
 from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, player_data, shown_frames
 from rtof_kin.reporting.provenance import CITATION, isb_items
@@ -218,29 +218,18 @@ def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> l
             *map(_peak, sides),
         )
     columns = ("angle", "range [deg]", "from, to [deg]", "peak [deg/s]")
-    of_both = (
-        "angle",
-        *(f"{side}: {what}" for side in SIDES for what in ("range [deg]", "from, to")),
-        "right - left",
-        *(f"{side}: peak [deg/s]" for side in SIDES),
-    )
-    return [
-        Table(
-            names,
-            list(cells.values()),
-            title,
-            kind=kind,
-            row_headers=True,
-            attributes=[
-                {"data-in": name.shown} | ({} if name.clinical in MAIN else {"class": "further"}) for name in cells
-            ],
-        )
-        for names, cells, title, kind in (
-            (columns, single, "Pelvis and trunk", "ranges single"),
-            (of_both, both, "Right and left", "ranges"),
-        )
-        if cells
-    ]
+    of_sides = [f"{side}: {what}" for side in SIDES for what in ("range [deg]", "from, to")]
+    of_both = ("angle", *of_sides, "right - left", *(f"{side}: peak [deg/s]" for side in SIDES))
+    out = []
+    for names, cells, title, kind in (
+        (columns, single, "Pelvis and trunk", "ranges single"),
+        (of_both, both, "Right and left", "ranges"),
+    ):
+        further = [{"data-in": name.shown} | ({} if name.clinical in MAIN else {"class": "further"}) for name in cells]
+        if cells:
+            rows_of = list(cells.values())
+            out.append(Table(names, rows_of, title, kind=kind, row_headers=True, attributes=further))
+    return out
 
 
 def _title(name: AngleName) -> Markup:
@@ -344,12 +333,8 @@ def torque_tables(torques: JointTorques | None, skeleton: SkeletonTable) -> list
             name = _URDF.sub("", clinical_name(skeleton, dof))
             side = next((side for side in SIDES if name.startswith(f"{side} ")), "")
             found.setdefault(name.removeprefix(f"{side} "), {})[side] = cells
-    empty = ("", "", "")
-    both = [
-        (name, *(cell for side in SIDES for cell in own.get(side, empty)))
-        for name, own in found.items()
-        if "" not in own
-    ]
+    sided = {name: own for name, own in found.items() if "" not in own}
+    both = [(name, *(cell for side in SIDES for cell in own.get(side, ("", "", "")))) for name, own in sided.items()]
     single = [(name, *own[""]) for name, own in found.items() if "" in own]
     parts = ("N m", "N m/kg", "known")
     columns = ("movement", *(f"{side}: {part}" for side in SIDES for part in parts))
@@ -421,7 +406,7 @@ def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Ta
     """A row for each section with a problem, with its first reason and the others folded, and one row for the
     sections of each other grade; and remarks on them.
     """
-    found = [(v, [_sentence(reason, names) for reason in v.reasons]) for v in verdicts]
+    found = [(v, [sentence(plain_words(reason, names)) for reason in v.reasons]) for v in verdicts]
     rows: list[tuple[Cell, ...]] = []
     for grade, word in _PROBLEMS.items():
         for v, reasons in found:
@@ -438,11 +423,6 @@ def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Ta
             rows.append((", ".join(alike), badge(grade), ""))
     remarks = [f"{v.title}: {reason}" for v, reasons in found if v.grade in others for reason in reasons]
     return Table(("section", "verdict", "why"), rows, kind="verdicts", row_headers=True), remarks
-
-
-def _sentence(text: str, names: AngleTable) -> str:
-    text = plain_words(text, names)
-    return text[:1].upper() + text[1:]
 
 
 def _audit(results: Iterable[AuditResult]) -> Table:

@@ -58,22 +58,18 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
 
 def _series(values: Array, half: Array | None, trusted: Mask, shown: slice, step: int) -> Data:
     """Curve of an angle (T,), deg: the frames that are shown, or intervals of `step` frames (0: none)."""
-    usable = np.where(trusted, values, np.nan)
-    chosen = _envelope(values, usable, step) if step else np.arange(len(values))[shown]
+    usable, chosen = np.where(trusted, values, np.nan), np.arange(len(values))[shown]
+    if step:  # extremes of the reliable values; of all where an interval has no reliable one
+        reliable = envelope_frames(usable, step)
+        chosen = np.where(np.isfinite(usable[reliable]), reliable, envelope_frames(values, step))
     doubtful = np.isfinite(values[chosen]) & ~trusted[chosen]
     out: Data = {"y": packed(values[chosen], 10)}
     if half is not None and step:
-        widest, reliable = (widest_bands(half, own, step) for own in (values, usable))
-        out["half"] = packed(np.where(doubtful, widest, reliable), 10)
+        of_all, of_reliable = (widest_bands(half, own, step) for own in (values, usable))
+        out["half"] = packed(np.where(doubtful, of_all, of_reliable), 10)
     elif half is not None:
         out["half"] = packed(half[chosen], 10)
     return out | ({"doubtful": runs(doubtful)} if doubtful.any() else {})
-
-
-def _envelope(values: Array, usable: Array, step: int) -> NDArray[np.int64]:
-    """Frames of the extremes of the reliable values; of all where an interval has no reliable one."""
-    reliable = envelope_frames(usable, step)
-    return np.where(np.isfinite(usable[reliable]), reliable, envelope_frames(values, step))
 
 
 def envelope_frames(values: Array, step: int) -> NDArray[np.int64]:
@@ -130,14 +126,9 @@ def cycle_curves_data(analysis: MotionAnalysis) -> Data:
         return {"phase": [], "stance": {}, "groups": []}
     rows = {row.name: row for row in analysis.angles.rows}
     for curve in analysis.curves:
-        _group(groups, rows[curve.name])["series"].append(
-            {
-                "side": curve.side,
-                "n": len(curve.curves),
-                "y": packed(np.degrees(curve.mean), 10),
-                "half": packed(np.degrees(curve.sd), 10),
-            }
-        )
+        mean, half = (packed(np.degrees(values), 10) for values in (curve.mean, curve.sd))
+        series = {"side": curve.side, "n": len(curve.curves), "y": mean, "half": half}
+        _group(groups, rows[curve.name])["series"].append(series)
     stance = {side: float(m["stance_share"][0]) for side, m in analysis.gait.summary.items()}
     phase = [round(100 * float(p), 2) for p in PHASES]
     return {"phase": phase, "stance": stance, "groups": list(groups.values())}

@@ -29,23 +29,22 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
     """
     result = statistics.first
     recording = result.recording
+    try:
+        software = version("rtof_kin")
+    except PackageNotFoundError:  # a clone that was not installed
+        software = "(not installed)"
     bones = "proportions of the skeleton table"
     if recording.bone_lengths:
         bones = f"{len(recording.bone_lengths)} measured bone lengths, the others by the table"
     elif recording.height is not None:
         bones += ", scaled by the height"
     return {
-        "software": f"rtof_kin {_version()}",
+        "software": f"rtof_kin {software}",
         "session": recording.session.plain(),
         "notes": recording.notes,
         "first_frame": recording.first_frame,
-        "subject": {
-            "height_m": recording.height,
-            "skeleton_height_m": recording.skeleton.height,
-            "mass_kg": recording.mass_kg,
-            "sex": recording.sex,
-            "bones": bones,
-        },
+        "subject": {"height_m": recording.height, "skeleton_height_m": recording.skeleton.height}
+        | {"mass_kg": recording.mass_kg, "sex": recording.sex, "bones": bones},
         "floor_height_m": recording.floor_height,
         "camera": _camera(statistics),
         "cameras": 0 if result.keypoints is None else 1 + len(recording.views),
@@ -69,13 +68,6 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
             "rows": [list(row) for row in result.calibration.table()],
         },
     }
-
-
-def _version() -> str:
-    try:
-        return version("rtof_kin")
-    except PackageNotFoundError:  # a clone that was not installed
-        return "(not installed)"
 
 
 def _camera(statistics: ReconstructionStatistics) -> Data | None:
@@ -149,8 +141,17 @@ def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> d
     whether angles have 95 % bands; gaps: description of missing data.
     """
     confidence = "95 % bands of the posterior, inflated on other subjects"
+    subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
+    units = {"height_m": "m tall", "mass_kg": "kg"}
+    body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
+    body += [subject["sex"]] if subject.get("sex") else []
     return {
-        "Participants and task": _participants(inputs),
+        "Participants and task": {
+            "height, mass, sex": ", ".join(body) or None,
+            "age, condition, criteria of inclusion": None,
+            "task, instructions, speed, footwear": session.get("protocol"),
+            "place, floor, ferromagnetic surroundings": session.get("place"),
+        },
         "Sensors": _sensor_items(inputs),
         "Orientation and alignment": _orientation(inputs, mode),
         "Joint kinematics": _joints(inputs, mode),
@@ -161,19 +162,6 @@ def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> d
             "repeatability between trials, days and operators": None,
             "software and version": inputs.get("software"),
         },
-    }
-
-
-def _participants(inputs: Mapping[str, Any]) -> Items:
-    subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
-    units = {"height_m": "m tall", "mass_kg": "kg"}
-    body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
-    body += [subject["sex"]] if subject.get("sex") else []
-    return {
-        "height, mass, sex": ", ".join(body) or None,
-        "age, condition, criteria of inclusion": None,
-        "task, instructions, speed, footwear": session.get("protocol"),
-        "place, floor, ferromagnetic surroundings": session.get("place"),
     }
 
 

@@ -278,12 +278,9 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
         yield "orientation sigma", motion.times, motion.confidence.orientation_sigma
     if (raw := part.recording.imus) is not None:
         yield "sensor unknown", raw.times, np.asarray(np.isnan(raw.R_inertial_sensor).any(axis=(2, 3)))
-        yield "specific force", raw.times, _largest(np.abs(raw.f_sensor))
-
-
-def _largest(values: Array) -> Array:
-    """Largest finite value along the last axis; NaN without any."""
-    return np.where(np.isfinite(values).any(axis=-1), np.nan_to_num(values, nan=-np.inf).max(axis=-1), np.nan)
+        force = np.abs(raw.f_sensor)
+        largest = np.nan_to_num(force, nan=-np.inf).max(axis=-1)
+        yield "specific force", raw.times, np.where(np.isfinite(force).any(axis=-1), largest, np.nan)
 
 
 def _mean_of(found: list[Metrics], counts: list[int]) -> Metrics:
@@ -292,11 +289,8 @@ def _mean_of(found: list[Metrics], counts: list[int]) -> Metrics:
     def mean(tables: list[Mapping[str, float]]) -> dict[str, float]:
         out = {}
         for name in dict.fromkeys(name for table in tables for name in table):
-            known = [
-                (count, table[name])
-                for count, table in zip(counts, tables, strict=True)
-                if np.isfinite(table.get(name, np.nan))
-            ]
+            both = zip(counts, tables, strict=True)
+            known = [(count, table[name]) for count, table in both if np.isfinite(table.get(name, np.nan))]
             total = sum(count for count, _ in known)
             out[name] = sum(count * value for count, value in known) / total if total else float("nan")
         return out

@@ -37,6 +37,7 @@ from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.angle_names import SECOND_SHOULDER, label, plain_words
 from rtof_kin.reporting.audit_results import Grade, Headline
 from rtof_kin.reporting.clinical_findings import NO_BANDS, SECOND_PELVIS, WIDEST
+from rtof_kin.reporting.document import sentence
 from rtof_kin.reporting.summary_file import Summary
 
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
@@ -184,15 +185,15 @@ def summary_lines(
 ) -> tuple[SummaryLine, ...]:
     """Return the lines of a report's summary; one on the position in the room where its audit has one."""
     seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
+    room: tuple[SummaryLine, ...] = ()
+    if overall.room:
+        verdict, _, why = plain_words(overall.room_text, analysis.table).partition(": ")
+        room = (SummaryLine("Position in the room", f"{sentence(why or verdict)}.", overall.room),)
     return (
         SummaryLine("Who", _who(analysis, summary, session), None),
         SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}.", None),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
-        *(
-            [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
-            if overall.room
-            else []
-        ),
+        *room,
         _careful(analysis, overall),
         SummaryLine("Findings", _findings(analysis), None),
     )
@@ -202,13 +203,6 @@ def _angle_words(overall: Headline, table: AngleTable) -> str:
     """Return the headline without the position in the room, in plain words."""
     text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
     return plain_words("; ".join(part for part in text.split("; ") if part), table)
-
-
-def _room_words(overall: Headline, table: AngleTable) -> str:
-    """Return what is said about the position in the room, as a sentence in plain words."""
-    verdict, _, why = plain_words(overall.room_text, table).partition(": ")
-    text = why or verdict
-    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
@@ -244,8 +238,7 @@ def _movement(analysis: MotionAnalysis) -> str:
         walking = f"only {strides} complete stride{'s' if strides > 1 else ''} of walking"
     elif not bends:
         walking = "neither walking nor squats were recognised"
-    text = "; ".join([*([_listed(bends)] if bends else []), walking, travel.text])
-    return text[:1].upper() + text[1:]
+    return sentence("; ".join([*([_listed(bends)] if bends else []), walking, travel.text]))
 
 
 def _knee_bends(analysis: MotionAnalysis) -> list[str]:

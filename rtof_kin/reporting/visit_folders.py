@@ -178,7 +178,11 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
         notes.append(f"Left out, as {PLAN} does not list them: {', '.join(unlisted)}")
     if not plan.visit:
         visits = _ordered(visits, notes)
-    return FoundVisits(tuple(visits), _baseline(visits, plan, folder), plan, tuple(notes))
+    baseline = 0
+    if plan.baseline:
+        names, first = [visit.name for visit in visits], plan.names.get(plan.baseline, plan.baseline)
+        baseline = indices_of(f"visit in {folder / PLAN}, baseline", [first], names)[0]
+    return FoundVisits(tuple(visits), baseline, plan, tuple(notes))
 
 
 def _motions(visit: Path) -> list[Path]:
@@ -271,11 +275,3 @@ def _ordered(visits: list[Visit], notes: list[str]) -> list[Visit]:
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sort key by which visit 10 comes after visit 2."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
-
-
-def _baseline(visits: Sequence[Visit], plan: Plan, folder: Path) -> int:
-    if not plan.baseline:
-        return 0
-    names = [visit.name for visit in visits]
-    wanted = plan.names.get(plan.baseline, plan.baseline)
-    return indices_of(f"visit in {folder / PLAN}, baseline", [wanted], names)[0]

@@ -22,7 +22,7 @@ from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
-from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number
+from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, sentence
 from rtof_kin.reporting.visit_folders import Progress, read_visits
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def document(found: FollowUp, notes: Sequence[str] = (), all_printed: bool = Fal
                 "figures",
                 "Over the visits",
                 [
-                    Section("", title[:1].upper() + title[1:], [figure], folded=k >= _OPEN)
+                    Section("", sentence(title), [figure], folded=k >= _OPEN)
                     for k, (title, figure) in enumerate(figures.items())
                 ],
             ),
@@ -213,15 +213,13 @@ def reasoning(one: Followed, visit: int) -> str:
             f"{alone} {unit}), and a true change of {mostly} {unit} would be shown in 4 of 5 cases."
         )
     p = "< 0.001" if change.p_adjusted < 0.001 else f"= {change.p_adjusted:.3f}"
-    return f"{text}; p {p} among all measures and visits; {_direction(one, visit)}."
-
-
-def _direction(one: Followed, visit: int) -> str:
+    direction = f"{one.better} is better"
     if one.better is None:
-        return "no direction is known or declared to be better"
-    if one.better == "zero" and not one.nearer_shown(visit):
-        return "nearer to zero is better, but it is not shown which of the two is nearer"
-    return "nearer to zero is better" if one.better == "zero" else f"{one.better} is better"
+        direction = "no direction is known or declared to be better"
+    elif one.better == "zero":
+        nearer = "" if one.nearer_shown(visit) else ", but it is not shown which of the two is nearer"
+        direction = f"nearer to zero is better{nearer}"
+    return f"{text}; p {p} among all measures and visits; {direction}."
 
 
 def _cautions(found: FollowUp) -> list[str]:
@@ -261,22 +259,17 @@ def _cautions(found: FollowUp) -> list[str]:
         )
     if found.by == "range":
         lines.append("Ranges are those of the whole recordings: they differ if the person did something else")
-    if unequal := _unequal(found.measures):
+    unequal = []  # measures whose spread differs between visits, by Bartlett's test
+    for one in found.measures:
+        groups = [own.values for own in one.visits if own is not None and np.ptp(own.values) > 0]
+        if len(groups) > 1 and stats.bartlett(*groups).pvalue < LEVEL / len(found.measures):
+            unequal.append(name_of(one.measure))
+    if unequal:
         lines.append(
             f"Trials vary more in one visit than in another: {', '.join(unequal)}. One spread for all visits "
             "is used, which is too small for that visit"
         )
     return lines
-
-
-def _unequal(followed: Sequence[Followed]) -> list[str]:
-    """Measures whose spread differs between visits, by Bartlett's test."""
-    out = []
-    for one in followed:
-        groups = [own.values for own in one.visits if own is not None and np.ptp(own.values) > 0]
-        if len(groups) > 1 and stats.bartlett(*groups).pvalue < LEVEL / len(followed):
-            out.append(name_of(one.measure))
-    return out
 
 
 def _definitions(found: FollowUp) -> dict[str, str]:
@@ -314,13 +307,8 @@ _NOTE: Final = Markup(
     "change could have been shown.</p>"
 ).format(100 * LEVEL)
 _ERRORS: Final = (
-    "measure",
-    "SEM, bands",
-    "MDC95, bands",
-    "SEM, repeats (degrees of freedom)",
-    "MDC95, repeats",
-    "SEM, both",
-    "MDC95, both",
+    *("measure", "SEM, bands", "MDC95, bands", "SEM, repeats (degrees of freedom)", "MDC95, repeats"),
+    *("SEM, both", "MDC95, both"),
 )
 
 
@@ -489,11 +477,8 @@ def _measure_facts(found: FollowUp, one: Followed) -> dict[str, Any]:
         "values": [None if own is None else [number(scale * value) for value in own.values] for own in one.visits],
         "band_sd": [None if own is None else number(scale * own.band_sigma) for own in one.visits],
         "errors": {
-            name: {
-                "sem": number(scale * error.sem),
-                "degrees_of_freedom": number(error.dof),
-                "mdc95": number(scale * error.mdc95),
-            }
+            name: {"sem": number(scale * error.sem), "degrees_of_freedom": number(error.dof)}
+            | {"mdc95": number(scale * error.mdc95)}
             for name, error in (("bands", errors.bands), ("repeats", errors.trials), ("both", errors.both))
         },
         "reasoning": {visit.name: reasoning(one, v) for v, visit in enumerate(found.visits) if v != found.baseline},
@@ -549,7 +534,7 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> P
     for ax in grid[len(panels) :]:
         ax.set_axis_off()
     figure.suptitle(
-        f"{title[:1].upper()}{title[1:]} over visits with 95 % bands; dots: trials; blue: right, red: left; "
+        f"{sentence(title)} over visits with 95 % bands; dots: trials; blue: right, red: left; "
         "large marks: change from the baseline (up: improved, down: worse, diamond: changed)",
         fontsize=10,
         y=1 - 0.1 / height,

@@ -168,23 +168,18 @@ class FragmentSolver:
         if bone_imus is not None and not isinstance(bone_imus, BoneImuSequence):
             bone_imus = BoneImuSequence.joined(bone_imus, poses.times)
         self._check(poses, keypoints, bone_imus, contact_points)
-        self._check_views(poses, keypoints, views)
+        if views and (keypoints is None or self.space == "cartesian"):
+            raise SolverError("several cameras are used in space 'joint' only; leave out the views, or use that space")
+        for i, view in enumerate(views):
+            if not np.array_equal(poses.times, view.times):
+                raise InvalidInputError(f"start and view {i + 1}: must have the same times")
+            _check_before(view, poses, f"of view {i + 1} ")
         if isinstance(start, InitialGuess):
             return start, bone_imus
         bridging = bone_imus if self.space == "joint" else None  # positions alone are not bridged
         refit = self.settings.refit_root
         guess = initial_guess(start, keypoints, bridging, self.skeleton, refit_root=refit, views=views)
         return guess, bone_imus
-
-    def _check_views(
-        self, start: PoseSequence, keypoints: KeypointSequence | None, views: Sequence[KeypointSequence]
-    ) -> None:
-        if views and (keypoints is None or self.space == "cartesian"):
-            raise SolverError("several cameras are used in space 'joint' only; leave out the views, or use that space")
-        for i, view in enumerate(views):
-            if not np.array_equal(start.times, view.times):
-                raise InvalidInputError(f"start and view {i + 1}: must have the same times")
-            _check_before(view, start, f"of view {i + 1} ")
 
     def _check(
         self,

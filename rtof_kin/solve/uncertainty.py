@@ -85,10 +85,8 @@ class Disagreement:
 def disagreement(
     solved: PoseSequence, start: PoseSequence, pairs: Sequence[tuple[str, str]], window: float = WINDOW
 ) -> Disagreement:
-    """Return the difference of two estimates.
-
-    Args:
-        pairs: of segments, as `Confidence.pairs`. window: averaged before and after a frame, s.
+    """Return the difference of two estimates; `pairs`: of segments, as `Confidence.pairs`; `window`: averaged before
+    and after a frame, s.
     """
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)
@@ -253,12 +251,16 @@ class CovarianceInflation:
             apart: of solution and initial guess, at the same times; None: D = 0.
             p_camera_joint: (T, J, 3) m, joints as seen from the camera, world axes; None: f = 0.
         """
-        names, root = confidence.names, confidence.names[0]
+        names, root, m = confidence.names, confidence.names[0], statistics.autocorrelation
         pairs = [" ".join(pair) for pair in confidence.pairs]
 
         def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
             seen = [seen_by(kind, name, root, statistics.sensors) for name in entries]
-            factor, floor = self._scales(kind, entries, seen, statistics)
+            tables = [self.widenings[who][kind] for who in seen]
+            own = [table.get(unsided(name), table[OTHER]) for name, table in zip(entries, tables, strict=True)]
+            factor = np.array([correlated_factor(w.factor, m) for w in own])
+            torso = [statistics.torso_factor(kind, who) for who in seen]
+            floor = np.array([w.floor * m * d for w, d in zip(own, torso, strict=True)])
             scale = factor[:, :, None] * factor[:, None, :]
             wide = covariance * scale + np.eye(3) * floor[:, :, None] ** 2
             if apart is not None:
@@ -271,25 +273,13 @@ class CovarianceInflation:
         position = widened("position", names, confidence.position_covariance)
         if p_camera_joint is not None:
             depth = self.depths.get(seen_by("position", root, root, statistics.sensors), 0.0)
-            position += (statistics.autocorrelation * depth) ** 2 * outer_squares(p_camera_joint)
+            position += (m * depth) ** 2 * outer_squares(p_camera_joint)
         return replace(
             confidence,
             position_covariance=position,
             relative_covariance=relative,
             turn_covariance=widened("turn", pairs, confidence.turn_covariance),
         )
-
-    def _scales(
-        self, kind: str, names: Sequence[str], seen: Sequence[str], statistics: ResidualStatistics
-    ) -> tuple[Array, Array]:
-        """K and B (n, 3)."""
-        factors, floors, m = [], [], statistics.autocorrelation
-        for name, who in zip(names, seen, strict=True):
-            known = self.widenings[who][kind]
-            widening = known.get(unsided(name), known[OTHER])
-            factors.append(correlated_factor(widening.factor, m))
-            floors.append(widening.floor * m * statistics.torso_factor(kind, who))
-        return np.array(factors), np.array(floors)
 
 
 def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:

@@ -79,22 +79,6 @@ def test_functions_are_compiled_once_and_loaded_without_a_compiler(
     assert not caplog.records
 
 
-@pytest.mark.parametrize("damage", [b"", b"\x7fELF", b"this is not a library"])
-def test_damaged_library_is_compiled_again_or_interpreted(
-    compile_cache: Path, damage: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    given = functions(3.0)
-    for _ in range(2):
-        check_compiled(given, compile_simd(given))
-        (library,) = compile_cache.glob("*.so")
-        library.unlink()
-        library.write_bytes(damage)
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    caplog.clear()
-    assert compile_simd(given) == {}
-    assert "interpreted, which is slower" in caplog.text
-
-
 def in_a_process(scale: float) -> list[float]:
     given = functions(scale)
     code = compile_simd(given)

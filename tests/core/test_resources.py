@@ -29,9 +29,3 @@ def test_shipped_lifter_is_found_by_name_and_by_file(name: str) -> None:
     path = lifter_path(name)
     assert path == lifter_path(Path(name)) == lifter_path(path) == model_path(LIFTERS[name])
     assert lifter_path(None) == lifter_path("detections")
-
-
-def test_missing_lifter_is_named_with_the_shipped_ones(tmp_path: Path) -> None:
-    for missing in (tmp_path / "none.pt", tmp_path):
-        with pytest.raises(FileFormatError, match="no such file; .*: detections, perfect$"):
-            lifter_path(missing)

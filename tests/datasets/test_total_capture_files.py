@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -71,15 +70,6 @@ def test_ambiguous_paths_are_not_assigned(path: str, tmp_path: Path) -> None:
     index = find_files(tmp_path)
     assert list(index.files) == [("S5", "walking2")]
     assert index.unassigned == [tmp_path / path]
-
-
-def test_a_broken_link_is_reported_and_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    put(tmp_path, f"S5/acting3/{POSITIONS}")
-    broken = tmp_path / "S5" / "acting3" / f"s5_acting3_{POSITIONS}"
-    os.symlink(tmp_path / "gone", broken)
-    index = find_files(tmp_path)
-    assert f"{broken}: cannot be read; not used" in caplog.text
-    assert index.one(("S5", "acting3"), "positions") == tmp_path / "S5" / "acting3" / POSITIONS
 
 
 def test_equal_files_are_allowed_and_different_ones_refused(tmp_path: Path) -> None:

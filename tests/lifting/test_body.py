@@ -9,11 +9,6 @@ from lifting.body import Body
 from rtof_kin.body.skeleton_table import SkeletonTable
 
 
-@pytest.fixture(scope="module")
-def body() -> Body:
-    return support.tiny_corpus().body()
-
-
 @pytest.mark.parametrize(
     ("table", "arms", "legs"),
     [

@@ -183,16 +183,3 @@ def test_sensors_lead_the_camera_by_their_lag(corpus: Corpus, bank: MotionBank, 
     assert_sensed(corpus, batch, HALF_A_FRAME if lag % 1 else 2e-5, lag=lag)
     with pytest.raises(AssertionError):
         assert_sensed(corpus, batch, HALF_A_FRAME, lag=-lag)
-
-
-@pytest.mark.parametrize("config", [plain(), replace(EVERYTHING, warp=(1.0, 1.0))])
-def test_a_causal_window_ends_at_the_middle_of_a_centred_one(bank: MotionBank, config: AugmentConfig) -> None:
-    """Of the same frames, and nothing else is drawn differently."""
-    config = replace(config, sensors=EXACT)
-    middle, last = draw(bank, config, FRAMES), draw(bank, config, FRAMES, causal=True)
-    torch.testing.assert_close(last.pose, middle.pose, atol=1e-5, rtol=0)
-    torch.testing.assert_close(last.axes, middle.axes)
-    rays = middle.windows.rays_world[:, :, : W // 2 + 1]
-    torch.testing.assert_close(last.windows.rays_world[:, :, W // 2 :], rays, atol=1e-5, rtol=0)
-    axes = middle.windows.axes_world[:, :, : W // 2 + 1]
-    torch.testing.assert_close(last.windows.axes_world[:, :, W // 2 :], axes, atol=1e-5, rtol=0)

@@ -12,16 +12,7 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.joint_errors import (
-    Draw,
-    JointErrors,
-    View,
-    about_axis,
-    exchanged,
-    jumps,
-    mean_error,
-    smooth_errors,
-)
+from lifting.training.joint_errors import Draw, JointErrors, View, about_axis, jumps, mean_error, smooth_errors
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
@@ -107,19 +98,6 @@ def test_drawn_errors_have_the_tables_mean_and_covariance(body: Body) -> None:
     np.testing.assert_allclose(now.std(dim=0), sd, rtol=0.1)
     correlation = torch.corrcoef(now.T) - C / sd / sd[:, None]
     assert correlation.abs().mean() < 0.06, "amplitudes differ between limbs, so a little is lost"
-
-
-@pytest.mark.parametrize(("azimuth", "per_minute"), [(90.0, 106.0), (0.0, 0.0)])
-def test_sides_are_exchanged_in_profile(body: Body, azimuth: float, per_minute: float) -> None:
-    view = standing(body, azimuth, rows=20_000)
-    names = torch.arange(21.0).expand(20_000, 2, W, 21)
-    out = exchanged(body, view, names, draws(20_000), RATE_HZ)
-    swapped = out != names
-    other = torch.tensor(body.mirrored, dtype=torch.float32)
-    assert torch.equal(out[swapped], other.expand(names.shape)[swapped])
-    share = swapped[:, 0].float().mean(dim=(0, 1))
-    assert share[:7].max() == 0
-    assert share[body.legs[0][1]] == pytest.approx(per_minute / 60 * 0.055, rel=0.2)
 
 
 def test_limbs_jump_rarely_briefly_and_far(body: Body) -> None:

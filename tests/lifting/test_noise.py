@@ -80,16 +80,6 @@ def test_drift_is_an_ornstein_uhlenbeck_process(body: Body, joint: str, memory: 
     np.testing.assert_allclose(measured, np.exp(-lag / rate_hz / memory), atol=0.06)
 
 
-def test_outliers_are_large_rare_and_constant_while_they_last(body: Body) -> None:
-    error, _ = noise_of(body, replace(QUIET, outlier_share=0.04), rows=2000)
-    there = error.abs().amax(dim=1) > 0
-    assert there.float().mean() == pytest.approx(0.04, rel=0.1)
-    assert error[:, 0][there].std() == pytest.approx(60.0, rel=0.1)
-    both = there[:, 1:] & there[:, :-1]
-    step = (error[:, :, 1:] - error[:, :, :-1]).abs().amax(dim=1)
-    assert step[both].max() == 0
-
-
 def test_training_noise_is_chosen_by_name(body: Body) -> None:
     assert TRAINING_NOISE["mixed"] == NoiseConfig()
     assert noise_of(body, TRAINING_NOISE["perfect"])[0].abs().max() == 0
@@ -165,16 +155,6 @@ def test_limbs_err_as_measured_on_real_recordings(truth: np.ndarray) -> None:
     swing, twist = np.linalg.norm(error[:, :2], axis=-1), np.abs(error[:, 2])
     assert np.median(swing) == pytest.approx(2.7, abs=0.25)
     assert np.median(twist) == pytest.approx(4.7, abs=0.3)
-
-
-@pytest.mark.parametrize("amplitude", [0.2, 2.0])
-def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(truth: np.ndarray, amplitude: float) -> None:
-    config = replace(NO_ERROR, heading=0.05, amplitude=(amplitude, amplitude))
-    error = so3.log(measured_by_sensors(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
-    assert np.abs(error[..., :2]).max() < 1e-5
-    np.testing.assert_allclose(error[:, 0, :, 2].std(axis=0), 0.05, rtol=0.06)
-    correlation = np.corrcoef(error[:, 0, :, 2].T) - np.eye(3)
-    assert np.abs(correlation).max() < 0.1, "every sensor has its own"
 
 
 # --- which are worn ------------------------------------------------------------------------------

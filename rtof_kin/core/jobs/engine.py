@@ -110,7 +110,8 @@ class RayCluster:
             try:
                 while True:
                     if time.monotonic() - looked > _LOOK:  # nodes come and go
-                        room, looked = self._room(ray), time.monotonic()
+                        cores = int(ray.cluster_resources().get("CPU", 0))
+                        room, looked = self.workers or max(1, _AHEAD * cores), time.monotonic()
                     for key, argument in islice(waiting, max(0, room - len(given))):
                         given[task.remote(function, key, argument)] = key
                     if not given:
@@ -140,10 +141,6 @@ class RayCluster:
             yield
         finally:
             ray.shutdown()
-
-    def _room(self, ray: Any) -> int:
-        """Return how many jobs the cluster may have at a time."""
-        return self.workers or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
 
 
 def _answer(ray: Any, one: Any, key: str) -> Ended:

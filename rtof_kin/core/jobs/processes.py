@@ -74,13 +74,6 @@ class Processes:
             for workers in (pool.busy, pool.idle):
                 _end(workers)
 
-    def _most(self) -> int:
-        """Return the number of workers that cores and memory allow."""
-        most, total = self.workers or usable_cores(), total_memory()
-        if not self.memory_per_job or total is None:
-            return most
-        return max(1, min(most, int(total // self.memory_per_job)))
-
 
 class _Worker:
     """A process that does one job after the other."""
@@ -127,7 +120,9 @@ class _Pool:
     """The workers of a run."""
 
     def __init__(self, settings: Processes, function: Callable[[Any], Any]):
-        self.settings, self.function, self.most = settings, function, settings._most()
+        self.settings, self.function, self.most = settings, function, settings.workers or usable_cores()
+        if settings.memory_per_job and (total := total_memory()) is not None:
+            self.most = max(1, min(self.most, int(total // settings.memory_per_job)))
         self.idle: list[_Worker] = []
         self.busy: list[_Worker] = []
         self._reminded = -_REMIND

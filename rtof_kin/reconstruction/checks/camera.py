@@ -212,15 +212,12 @@ def _ordered(
     if wrong:
         unknown = (Check.unknown(name, "the person", "m", wrong) for name in (_DISTANCE, _FEET))
         return (*first, lens, *declared, *unknown)
-    bones = check_bones(_own_sensors(recording), skeleton)
+    imus = recording.imus
+    bones = check_bones(None if imus is None else sensed(recording, imus.times), skeleton)
     perspective = check_perspective(image, skeleton)
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), image.small)
     return (*first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared)
-
-
-def _own_sensors(recording: Recording) -> BoneImuSequence | None:
-    return None if recording.imus is None else sensed(recording, recording.imus.times)
 
 
 # --- the camera ----------------------------------------------------------------------------------
@@ -251,23 +248,19 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
     )
     for check, cause in zip(check_camera("of the recording", camera), causes, strict=True):
         yield replace(check, cause=cause)
-    yield _check_outside(keypoints)
+    name = "points outside of the picture"
+    if camera.stabilised:
+        yield Check.unknown(name, "keypoints", "%", "the camera turned, and its picture has no borders")
+    else:
+        uv = keypoints.uv_px[keypoints.seen]
+        outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
+        share = 100 * float(outside.mean()) if len(uv) else np.nan
+        advice = "Give the camera of the picture that was detected in"
+        cause = "the keypoints are of a larger picture than the camera's"
+        yield Check(name, "keypoints", share, MOST_OUTSIDE, "%", advice, cause=cause)
     assumed = camera.assumed if camera.uncertainty is None else ()  # its unknowns are estimated
     advice = f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed"
     yield Check("assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities", advice, cause=UNVERIFIED)
-
-
-def _check_outside(keypoints: KeypointSequence) -> Check:
-    name, camera = "points outside of the picture", keypoints.camera
-    if camera.stabilised:
-        return Check.unknown(name, "keypoints", "%", "the camera turned, and its picture has no borders")
-    uv = keypoints.uv_px[keypoints.seen]
-    outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
-    advice = "Give the camera of the picture that was detected in"
-    cause = "the keypoints are of a larger picture than the camera's"
-    return Check(
-        name, "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan, MOST_OUTSIDE, "%", advice, cause=cause
-    )
 
 
 # --- the body and the floor ----------------------------------------------------------------------

@@ -77,10 +77,8 @@ class ImageExcerpt:
 
 
 def check_image(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> ImageExcerpt:
-    """Compare the keypoints with each usual mistake undone.
-
-    Args:
-        lifter: None for one that predicts no uncertainties: image orientation remains unchecked.
+    """Compare the keypoints with each usual mistake undone; `lifter`: None for one that predicts no uncertainties:
+    image orientation remains unchecked.
     """
     keypoints = excerpt(recording.video)
     bone_imus = sensed(recording, keypoints.times)

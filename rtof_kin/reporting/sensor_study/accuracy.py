@@ -13,7 +13,6 @@ from rtof_kin.core import rotations, signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 
@@ -190,7 +189,11 @@ def liveliest_part(recording: Recording, longest: float) -> Part:
     if stop - start <= longest:
         return Part(start, stop, stop - start)
     edges = np.arange(start, stop + _BIN, _BIN)
-    movement = _mean(imus.times[:-1], _turn_rates(imus), edges)
+    R = imus.R_inertial_sensor
+    rates = rotations.angle_between(R[:-1], R[1:]) / np.diff(imus.times)[:, None]  # rad/s
+    known = np.isfinite(rates)
+    turns = np.where(known, rates, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    movement = _mean(imus.times[:-1], turns, edges)
     if keypoints is not None:
         movement = movement * _mean(keypoints.times, keypoints.seen.mean(axis=1), edges)
     so_far = np.concatenate([[0.0], np.cumsum(movement)])
@@ -198,15 +201,6 @@ def liveliest_part(recording: Recording, longest: float) -> Part:
     best = int(np.argmax(so_far[count:] - so_far[:-count]))
     first = min(float(edges[best]), stop - longest)
     return Part(first, first + longest, stop - start)
-
-
-def _turn_rates(imus: ImuSequence) -> Array:
-    """(T - 1,) rad/s, mean over the sensors; zero where none has samples."""
-    R = imus.R_inertial_sensor
-    rates = rotations.angle_between(R[:-1], R[1:]) / np.diff(imus.times)[:, None]
-    known = np.isfinite(rates)
-    total: Array = np.where(known, rates, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    return total
 
 
 def _mean(times: Array, values: Array, edges: Array) -> Array:

@@ -31,17 +31,8 @@ NO_ERROR: Final = (
     "A difference from the full set is not an error: an error that both motions share does not appear in it, "
     "and where they differ, either may be wrong."
 )
-COLUMNS: Final = (
-    "set",
-    "sensors",
-    "number",
-    "angle",
-    "difference_deg",
-    "seen_share",
-    "error_deg",
-    "half_band_deg",
-    "kept",
-)
+_COLUMNS: Final = "set sensors number angle difference_deg seen_share error_deg half_band_deg kept"
+COLUMNS: Final = tuple(_COLUMNS.split())
 _FIGURES: Final = ("figures/sensors.png", "figures/number.png")
 _SETTINGS: Final = "settings.json"  # written by `rtof_kin.core.jobs.open_runs`
 _LARGEST: Final = 20.0  # [deg] end of the colour scale
@@ -144,12 +135,8 @@ def _rows(study: SensorStudy) -> Iterator[list[str]]:
     for name, found in sets:
         kept = study.kept(found)
         for a, angle in enumerate(study.angles):
-            figures = (
-                np.degrees(found.difference[a]),
-                found.seen[a],
-                np.degrees(found.error[a]),
-                np.degrees(found.half_band[a]),
-            )
+            difference, error, half_band = np.degrees([found.difference[a], found.error[a], found.half_band[a]])
+            figures = (difference, found.seen[a], error, half_band)
             cells = [f"{value:.4f}" if np.isfinite(value) else "" for value in figures]
             sensors = " ".join(found.sensors)
             yield [name, sensors, str(len(found.sensors)), angle, *cells, "yes" if kept[a] else "no"]
@@ -163,14 +150,8 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     needs and does not need, to a tolerance of the RMS in rad.
     """
     shown = [study.angles[a] for a in study.shown]
-    return [
-        _scope(study),
-        _meaning(study),
-        _alone(study),
-        _order(study, tolerance),
-        *_chance(study),
-        *_by_need(study, shown, tolerance),
-    ]
+    first = _scope(study), _meaning(study), _alone(study), _order(study, tolerance)
+    return [*first, *_chance(study), *_by_need(study, shown, tolerance)]
 
 
 def _scope(study: SensorStudy) -> str:
@@ -306,14 +287,14 @@ def _listed(study: SensorStudy, group: str, names: list[str], tolerance: float) 
 
 
 def _needed(study: SensorStudy, a: int, tolerance: float) -> list[SensorSet]:
-    """Sets without one sensor alone that an angle clearly needs."""
-    return [found for found in study.without if not study.kept(found, tolerance)[a] and _changed(study, a, found)]
-
-
-def _changed(study: SensorStudy, a: int, found: SensorSet) -> bool:
-    """Whether an angle is lost without a sensor, or clearly worse."""
-    change = float(study.measure(found)[a] - study.measure(study.full)[a])
-    return not found.seen[a] >= LEAST_SEEN or not change < LEAST_CHANGE
+    """Sets without one sensor alone that an angle clearly needs: it is lost or clearly worse."""
+    full = study.measure(study.full)[a]
+    lost = [found for found in study.without if not study.kept(found, tolerance)[a]]
+    return [
+        found
+        for found in lost
+        if not found.seen[a] >= LEAST_SEEN or not float(study.measure(found)[a] - full) < LEAST_CHANGE
+    ]
 
 
 def _named(study: SensorStudy, a: int) -> str:
@@ -418,16 +399,10 @@ def error_by_number(study: SensorStudy) -> Plot:
     values[np.stack([found.seen for found in study.path]) < LEAST_SEEN] = np.nan
     for ax, (joint, own) in zip(panels, joints.items(), strict=False):
         for a in own:
-            name = label(study.angles[a].replace(f"{joint}_", ""))
-            ax.plot(
-                number,
-                values[:, a],
-                marker="o",
-                ms=3,
-                lw=1.2,
-                label=name,
-                ls="--" if study.angles[a].startswith("left_") else "-",
-            )
+            name, line = label(study.angles[a].replace(f"{joint}_", "")), "-"
+            if study.angles[a].startswith("left_"):
+                line = "--"
+            ax.plot(number, values[:, a], marker="o", ms=3, lw=1.2, label=name, ls=line)
         ax.axhline(np.degrees(TOLERANCE), color="0.5", lw=0.8, ls=":")
         ax.set_title(joint, fontsize=9)
         ax.set_ylabel("RMS [deg]", fontsize=8)

@@ -8,12 +8,12 @@ until late in this order is not proven to be needed: other sets of the same size
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -171,30 +171,17 @@ def study_sensors(
     settings = settings or ReconstructionSettings()
     settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
     names = imus.names
-    with _folder(folder) as place:
-        runs = Runs(
-            part.of(recording), lifter, settings, number_of_runs(len(names), camera, greedy), place, workers, progress
-        )
+    with TemporaryDirectory() if folder is None else nullcontext(folder) as place:
+        most = number_of_runs(len(names), camera, greedy)
+        runs = Runs(part.of(recording), lifter, settings, most, Path(place), workers, progress)
         full = runs.full()
         steps = _steps(runs, full.accuracy, 0 if camera else 1, _is_greedy(len(names), greedy))
     segments = dict(zip(names, bone_imus.joints, strict=True))
     words = {joint: label(name) for name, joint in angle_table(recording.skeleton.table).segments.items()}
     places = {sensor: words.get(joint, joint) for sensor, joint in segments.items()}
     reference = full.angles if full.truth is None else full.truth
-    return SensorStudy(
-        recording.name,
-        part,
-        segments,
-        places,
-        full.angles.names,
-        spread(reference),
-        full.accuracy,
-        steps,
-        full.truth is not None,
-        camera,
-        full.verdict,
-        full.choices,
-    )
+    measured = full.angles.names, spread(reference), full.accuracy, steps, full.truth is not None
+    return SensorStudy(recording.name, part, segments, places, *measured, camera, full.verdict, full.choices)
 
 
 def identity_of(
@@ -255,16 +242,6 @@ def _greedy_step(runs: Runs, left: tuple[str, ...], tried: Sequence[SensorSet]) 
     first = runs.measured(sets[:_FIRST], what)
     better = [sensors for sensors in sets[_FIRST:] if bound(sensors) < _least(first).loss]
     return (*first, *runs.measured(better, what))
-
-
-@contextmanager
-def _folder(folder: Path | None) -> Iterator[Path]:
-    """The folder of the runs, a temporary one if none is given."""
-    if folder is not None:
-        yield folder
-        return
-    with tempfile.TemporaryDirectory() as temporary:
-        yield Path(temporary)
 
 
 def _is_greedy(sensors: int, greedy: bool | None) -> bool:

@@ -86,7 +86,10 @@ class CartesianSolver:
         data |= observed_rows(terms, observed or {}, len(start))
         half, T = self.frames // 2, len(start)
         firsts = range(-half, T, half)
-        taper = self._taper()
+        i = np.arange(self.frames)  # weights (N,) of a fragment's frames in the blend:
+        taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
+        if self.settings.blend == "average":
+            taper = np.ones(self.frames)
         previous: Array | None = None
         reports: list[FragmentReport] = []
         for done, first in enumerate(firsts, start=1):
@@ -103,13 +106,6 @@ class CartesianSolver:
                 yield Block(frames, p, start.R_world_bone[frames], tuple(reports))
                 reports = []
             previous = X
-
-    def _taper(self) -> Array:
-        """(N,) weights of a fragment's frames in the blend."""
-        i = np.arange(self.frames)
-        if self.settings.blend == "average":
-            return np.ones(self.frames)
-        return np.asarray(np.minimum(i + 0.5, self.frames - i - 0.5) ** 2)
 
     def _solve_fragment(
         self, first: int, start: PoseSequence, data: dict[str, Array], previous: Array | None = None

@@ -79,9 +79,7 @@ class Annealing:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of a landmark per axis with the factor for autocorrelation, px; the mean of the
-        cameras that see enough.
-        """
+        """Standard deviation of a landmark per axis with the factor, px; the mean of cameras that see enough."""
         return float(np.mean([errors.sigma for errors in self._observing]))
 
     @property

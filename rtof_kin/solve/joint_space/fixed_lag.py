@@ -179,11 +179,8 @@ class FixedLagSmoother:
     """
 
     def __init__(self, data: Observations, frames: int) -> None:
-        """Begin without frames.
-
-        Args:
-            data: its problem, constants, limits and settings are used, and its first row as a template.
-            frames: N, at least 5.
+        """Begin without frames; `data`: its problem, constants, limits and settings are used, and its first row as a
+        template; `frames`: N, at least 5.
         """
         self.space, self.limits, self.constant = data.space, data.limits, dict(data.constant)
         self.frames, self.rate_hz, self._settings = frames, data.rate_hz, data.settings
@@ -284,9 +281,7 @@ class FixedLagSmoother:
         return self.iterate(iterations, tolerance)
 
     def covariance(self, first: int) -> Array:
-        """Return the marginal covariances (N - first, D, D) of the frames from `first` on; NaN where the
-        Hessian is singular.
-        """
+        """Return marginal covariances (N - first, D, D) of frames from `first` on; NaN for a singular Hessian."""
         solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
         solver.linearise(self.x, self._multipliers)
         D = self.space.size

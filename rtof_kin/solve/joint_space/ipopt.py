@@ -41,12 +41,8 @@ class Ipopt:
         self._solvers: dict[tuple[int, float], Any] = {}
 
     def solve(self, x: Array, max_iterations: int, tolerance: float) -> Solved:
-        """Minimise from a state.
-
-        Args:
-            x: (N, 3 + 4A) initial state.
-            tolerance: a hundredth of the largest remaining derivative of the Lagrangian, by a millimetre or
-                milliradian.
+        """Minimise from a state; `x`: (N, 3 + 4A) initial state; `tolerance`: a hundredth of the largest remaining
+        derivative of the Lagrangian, by a millimetre or milliradian.
         """
         self._point.begin(x)
         problem, limits, N = self.problem, self.limits, len(x)

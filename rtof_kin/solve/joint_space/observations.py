@@ -123,10 +123,8 @@ class Observations:
         self._displace(start.p_world_joint, start.R_world_bone)
 
     def fragment(self, first: int) -> tuple[Index, Mask, FragmentData]:
-        """Return the indices of a fragment's frames, which of them exist, and their data.
-
-        Args:
-            first: its first frame, negative in the padding.
+        """Return the indices of a fragment's frames, which of them exist, and their data; `first`: its first frame,
+        negative in the padding.
         """
         measured = self.a_world, self.w_acceleration
         return fragment_of(self.rows, self.constant, *measured, self.rate_hz, first, self.frames)

@@ -188,9 +188,7 @@ class _Fragments:
         yield from pending
 
     def _retried(self, piece: _Piece, other: _Piece) -> _Piece:
-        """The fragment solved from a neighbour's states, continued by its own initial guess; as it was
-        where that is no better.
-        """
+        """The fragment solved from a neighbour's states, continued by its own guess, if that is better."""
         index, _, _ = self.data.fragment(piece.first)
         shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
         own, theirs = shared - piece.first, shared - other.first

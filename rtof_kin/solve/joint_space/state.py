@@ -162,17 +162,13 @@ class StateSpace:
         return owners, axes, beyond[:, owners]
 
     def turn_rates(self, R: Array) -> Array:
-        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world, at R (T, J, 3, 3), by the
-        rotations.
-        """
+        """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world, at R, by the rotations."""
         owners, axes, moves = self._turning
         turned = np.einsum("tdij,jd->tdi", R[:, owners], axes)
         return np.where(moves[..., None], turned[:, None], 0.0)
 
     def point_rates(self, p: Array, turns: Array, joints: Sequence[int], points: Array) -> Array:
-        """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent; `turns` as of
-        `turn_rates`.
-        """
+        """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent, with `turn_rates`."""
         arm = points[:, :, None] - p[:, None, self._turning[0]]
         moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)
         return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), moved], axis=-1)

@@ -236,11 +236,8 @@ class _JerkBlocks:
         self.coefficients, self.sigma = ca.SX.sym("c", 3 * LAGS), ca.SX.sym("s", self.space.size)
 
     def block(self, k: int, own: list[list[Any]], later: list[list[Any]]) -> Any:
-        """(D, D) rows of frame t + k, columns of t.
-
-        Args:
-            own: inverse right Jacobians of steps t - 1 and t. later: of steps t + k - 1 and t + k, the
-                second one unused three frames later.
+        """(D, D) rows of frame t + k, columns of t; `own`: inverse right Jacobians of steps t - 1 and t; `later`: of
+        steps t + k - 1 and t + k, the second one unused three frames later.
         """
         c = ca.vertsplit(self.coefficients)
         H = ca.diag(c[2 * LAGS + k] / self.sigma**2)
@@ -270,10 +267,8 @@ def _blocks(v: Any) -> list[Any]:
 
 
 def _product(energy: FrameEnergy, A: Any, slopes: list[Any], at: Sequence[int], later: int, rate: Any, B: Any) -> Any:
-    """A^T W B, rows of a frame `later` frames after that of the columns.
-
-    Args:
-        slopes: (P) of the path residuals that have both frames. at: which of their three frames that of the columns is.
+    """A^T W B, rows of a frame `later` frames after that of the columns; `slopes`: (P) of the path residuals that have
+    both frames; `at`: which of their three frames that of the columns is.
     """
     if not energy.paths:
         return ca.SX(A.shape[1], B.shape[1])
@@ -286,11 +281,8 @@ def _product(energy: FrameEnergy, A: Any, slopes: list[Any], at: Sequence[int], 
 
 
 def _grouped(parts: Sequence[Any], first: int) -> tuple[Index, Any]:
-    """Nonzero entries of blocks one below the other, in groups of `GROUP` rows of a column padded with
-    zeros: (groups, 2) first row and column, and the entries.
-
-    Args:
-        first: row of the first block, counted from the first row of the frame.
+    """Nonzero entries of blocks one below the other, in groups of `GROUP` rows of a column padded with zeros: (groups,
+    2) first row and column, and the entries; `first`: row of the first block, counted from the first row of the frame.
     """
     size = parts[0].shape[1]
     all_rows = ca.vertcat(*parts)

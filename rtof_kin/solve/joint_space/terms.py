@@ -61,11 +61,14 @@ def built_in_terms(
     index = skeleton.names.index
     given = () if contact_points is None else contact_points.joints
     standing = tuple(index(name) for name in skeleton.names if given and (name in given or name in FEET))
+    # Joint and child of the bones of the limbs.
+    joints = skeleton.index(*({*skeleton.names} & {*sum(LIMBS, ())}))
+    pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in joints]
     return (
         Visual(points.on, tuple(further)),
         Orientation(tuple(map(index, sensors)), settings.robust_orientation),
         Torso(tuple(index(name) for name in TORSO if name in skeleton.names)),
-        Bone(_limb_bones(skeleton)),
+        Bone(tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))),
         Root(),
         Floor(tuple(index(name) for name in FEET if name in skeleton.names), settings.floor_cutoff, standing),
         Prior(len(space.joints) - 1),
@@ -431,13 +434,6 @@ def _bone(R: Matrix, b: Matrix, start: Matrix, e: Matrix) -> Matrix:
 
 def _position(observed: Matrix, point: Matrix) -> Matrix:
     return residuals.position(point, observed)
-
-
-def _limb_bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
-    """Joint and child of the bones of the limbs."""
-    joints = skeleton.index(*({*skeleton.names} & {*sum(LIMBS, ())}))
-    pairs = [(joint, kinematics.children_of(skeleton.parents, joint)) for joint in joints]
-    return tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))
 
 
 def bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
