@@ -29,10 +29,9 @@ Function = Callable[..., Any]
 class Fields:
     """Fields of a settings' dataclass that become options of a command.
 
-    Args:
-        names: of the fields, separated by spaces. renamed: field -> option, without dashes.
-        of: 'module:class', where the parameter is annotated as a mapping; the command then gets only the values that
-            were given. group: title in the help. defaults: field -> default, where it is not that of the class.
+    `names`: of the fields, separated by spaces. `renamed`: field -> option, without dashes. `of`: 'module:class', where
+    the parameter is annotated as a mapping; the command then gets only the values that were given. group: title in the
+    help. defaults: field -> default, where it is not that of the class.
     """
 
     def __init__(
@@ -55,7 +54,9 @@ def command(function: Function) -> Function:
         if chosen is None:
             parameters.append(parameter.replace(annotation=_option(hint, parameter.default)))
             continue
-        filled[parameter.name] = _named(chosen.of) if chosen.of else get_args(hint)[0], chosen
+        module, _, name = chosen.of.partition(":")
+        settings = getattr(import_module(module), name) if chosen.of else get_args(hint)[0]
+        filled[parameter.name] = settings, chosen
         parameters += _options_of(*filled[parameter.name])
 
     @wraps(function)
@@ -71,12 +72,6 @@ def command(function: Function) -> Function:
     text = inspect.cleandoc(function.__doc__ or "")
     call.__doc__ = re.sub(r"(?<=\S)\n(?: {8,}|(?=\S))", " ", text)  # paragraphs in one line, for any width
     return call
-
-
-def _named(path: str) -> type:
-    module, _, name = path.partition(":")
-    found: type = getattr(import_module(module), name)
-    return found
 
 
 def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:

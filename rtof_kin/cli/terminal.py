@@ -189,9 +189,8 @@ def _duration(seconds: float) -> str:
 def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | None, mode: str) -> str:
     """Return errors against the truth, else those expected by the covariances.
 
-    Args:
-        sigmas: mean standard deviations per axis of the joints relative to the root and in world, m; NaN where
-            unknown. None of a motion without covariances.
+    `sigmas`: mean standard deviations per axis of the joints relative to the root and in world, m; NaN where unknown.
+    None of a motion without covariances.
     """
     if (m := metrics) is not None:
         return (

@@ -168,23 +168,21 @@ def departures(shape: StrideShape) -> tuple[str, ...]:
     low, high = SPOT_PHASE if spot else PHASE
     swing = SPOT_SWING if spot else LEAST_SWING
     one_foot = np.isnan(shape.phase)  # the other foot was not observed
-    wrong = {
-        f"stance takes less than {100 * STANCE[0]:.0f} % of the stride, as in running and jumping": shape.stance_share
-        < STANCE[0],
-        f"stance takes more than {100 * STANCE[1]:.0f} % of the stride": shape.stance_share > STANCE[1],
-        "the feet do not alternate evenly": not (one_foot or low <= shape.phase <= high),
-        f"the foot swings less than {swing:.2f} m past the pelvis": not shape.swing >= swing,
-        f"the pelvis advances by {ON_THE_SPOT:.1f} to {LEAST_PROGRESS:.1f} m in a stride": not (
-            spot or shape.progress >= LEAST_PROGRESS
-        ),
-        "the person moves backward or sideways": not (spot or shape.forward >= FORWARD),
-        f"the person turns by more than {np.degrees(LARGEST_TURN):.0f} deg within a stride": not abs(shape.turn)
-        <= LARGEST_TURN,
-        "the foot slides or hops during stance": not (spot or shape.slip <= LARGEST_SLIP),
-        "in place, the feet do not glide back as on a treadmill": spot
-        and not BELT[0] <= shape.slip / max(shape.swing, 1e-9) <= BELT[1],
-    }
-    return tuple(text for text, flag in wrong.items() if flag)
+    stance, belt = shape.stance_share, shape.slip / max(shape.swing, 1e-9)
+    least, most = (f"{100 * share:.0f} % of the stride" for share in STANCE)
+    way, turn = f"{ON_THE_SPOT:.1f} to {LEAST_PROGRESS:.1f} m", f"{np.degrees(LARGEST_TURN):.0f} deg"
+    wrong = (
+        (stance < STANCE[0], f"stance takes less than {least}, as in running and jumping"),
+        (stance > STANCE[1], f"stance takes more than {most}"),
+        (not (one_foot or low <= shape.phase <= high), "the feet do not alternate evenly"),
+        (not shape.swing >= swing, f"the foot swings less than {swing:.2f} m past the pelvis"),
+        (not (spot or shape.progress >= LEAST_PROGRESS), f"the pelvis advances by {way} in a stride"),
+        (not (spot or shape.forward >= FORWARD), "the person moves backward or sideways"),
+        (not abs(shape.turn) <= LARGEST_TURN, f"the person turns by more than {turn} within a stride"),
+        (not (spot or shape.slip <= LARGEST_SLIP), "the foot slides or hops during stance"),
+        (spot and not BELT[0] <= belt <= BELT[1], "in place, the feet do not glide back as on a treadmill"),
+    )
+    return tuple(text for flag, text in wrong if flag)
 
 
 def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequence[tuple[str, ...]]) -> str:
@@ -324,9 +322,7 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
         return True
     knee, own = angles.names.index(f"{stride.side}_knee_flexion"), stride.frames(angles.times)
     inside = (angles.times[own] >= stride.start) & (angles.times[own] <= stride.stop)
-    known = np.isfinite(angles.values[own, knee])
-    reliable = known if angles.trusted is None else known & angles.trusted[own, knee]
-    return bool((reliable | ~known)[inside].all())
+    return bool((angles.is_trusted(own)[:, knee] | ~np.isfinite(angles.values[own, knee]))[inside].all())
 
 
 def _warnings(side: str, strides: list[Stride]) -> list[str]:

@@ -150,12 +150,11 @@ def side_curves(cycles: GaitCycles, side: str) -> SideCurves:
 def _score(curves: SideCurves, reference: Array, variables: Sequence[int]) -> Score:
     """Root mean square over some variables of one side."""
     index = list(variables)
-    value = _rms(curves.mean[index] - reference[index])
+    value, *strides = (_root((own[index] - reference[index]) ** 2) for own in (curves.mean, *curves.strides))
     if np.isnan(value):
         return NOT_COMPUTED
-    single = [_rms(own[index] - reference[index]) for own in curves.strides]
-    single = [one for one in single if np.isfinite(one)]
-    spread = float(np.std(single, ddof=1)) if len(single) > 1 else float("nan")
+    single = [one for one in strides if np.isfinite(one)]
+    spread = float(np.std(single, ddof=1)) if len(single) > 1 else _NAN
     variances = (curves.pose_variance, curves.stride_variance, curves.stride_bound)
     pose, stride, bound = (_root(one[index]) for one in variances)
     return Score(value, pose, stride, bound, spread, len(single))
@@ -167,22 +166,17 @@ def _overall(curves: Mapping[str, SideCurves], reference: Array) -> Score:
     def stacked(field: str) -> Array:
         return np.concatenate([getattr(curves["left"], field), getattr(curves["right"], field)[PELVIS:]])
 
-    value = _rms(stacked("mean") - np.concatenate([reference, reference[PELVIS:]]))
+    value = _root((stacked("mean") - np.concatenate([reference, reference[PELVIS:]])) ** 2)
     if np.isnan(value):
         return NOT_COMPUTED
-    strides = sum(len(own.strides) for own in curves.values())
     names = ("pose_variance", "stride_variance", "stride_bound")
     pose, stride, bound = (_root(stacked(name)) for name in names)
-    return Score(value, pose, stride, bound, float("nan"), strides)
+    return Score(value, pose, stride, bound, _NAN, sum(len(own.strides) for own in curves.values()))
 
 
-def _rms(differences: Array) -> float:
-    return float(np.sqrt(np.mean(differences**2)))
-
-
-def _root(variance: Array) -> float:
-    """Root of the mean variance; NaN where any is unknown."""
-    return float(np.sqrt(np.mean(variance)))
+def _root(squares: Array) -> float:
+    """Root of a mean square; NaN where any is unknown."""
+    return float(np.sqrt(np.mean(squares)))
 
 
 def people_scores(reference: GaitReference) -> tuple[Array, Array] | None:

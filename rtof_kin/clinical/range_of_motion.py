@@ -155,8 +155,7 @@ def angular_velocity(angles: ClinicalAngles) -> Array:
     smooth and differentiate; single frames between gaps have no velocity.
     """
     rate_hz = angles.rate_hz
-    columns = [_velocity(angles, column, rate_hz) for column in range(len(angles.rows))]
-    return np.stack(columns, axis=1)
+    return np.stack([_velocity(angles, column, rate_hz) for column in range(len(angles.rows))], axis=1)
 
 
 def _velocity(angles: ClinicalAngles, column: int, rate_hz: float) -> Array:

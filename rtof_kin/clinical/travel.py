@@ -195,8 +195,7 @@ def _turning_points(values: Array, least: float) -> list[int]:
 
 def _path_length(path: Array) -> float:
     """Length of a path (N, 2), m, from a point to the next that is `LEAST_WAY` away; NaN if unobserved."""
-    points = path.tolist()
-    if not points:
+    if not (points := path.tolist()):
         return float("nan")
     anchor, way = points[0], 0.0
     for point in points:

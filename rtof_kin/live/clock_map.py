@@ -144,9 +144,8 @@ class ClockMap:
     def time(self, stream: str, stamp: float, arrival: float) -> float:
         """Return the time of a sample, s; NaN if it is left out.
 
-        Args:
-            stream: name of its sensor, or `VIDEO`. stamp: s on the source's clock.
-            arrival: s on this machine's clock; does not go back.
+        `stream`: name of its sensor, or `VIDEO`. `stamp`: s on the source's clock. `arrival`: s on this machine's
+        clock; does not go back.
         """
         track = self._tracks.setdefault(stream, _Track())
         speed = track.speed() if self.clock is Clock.COMMON else 1.0
@@ -214,16 +213,12 @@ class SessionClock:
             if self._base is not None and math.isfinite(time):
                 self._base.update(arrival - time, arrival)
         else:
-            time -= self._machine_less_session()
+            time -= 0.0 if self._base is None else self._base.applied  # NaN while that is not known
         return Arrived(source, sample, arrival, float(time))
 
     def notices(self, arrival: float) -> list[str]:
         """Return sentences about jumps of clocks since the last call. `arrival`: now, s on this machine's clock."""
         return [text for clock_map in self.maps.values() for text in clock_map.notices(arrival)]
-
-    def _machine_less_session(self) -> float:
-        """Return this machine's clock less the session's, s; NaN while that is not known."""
-        return 0.0 if self._base is None else self._base.applied
 
     def _settle(self, source: str, stamp: float, arrival: float) -> None:
         """Take this machine's clock if nothing came on the common one, which then is one of its own."""

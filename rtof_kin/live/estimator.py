@@ -144,7 +144,9 @@ class OnlineEstimator:
         self.dropped: dict[str, int] = {}
         self.hurried, self.restarts, self._astray = 0, 0, 0
         self._images, self._lifted = 0, -self._window.frames
-        self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
+        self._delay_s, self._refinement = s.video_delay_s, None
+        if s.refined is not None and self._sensors is not None and self._camera is not None:
+            self._refinement = Refinement(self._window, self._sensors, s.refined, calibration)
 
     def _streaming(self, lifter: Lifter | None, floor_height: float | None) -> StreamingLifter | None:
         if self._camera is None:
@@ -160,12 +162,6 @@ class OnlineEstimator:
             names=self._landmarks,
             history_s=self.settings.frames / self.settings.rate_hz + 0.5,
         )
-
-    def _refined(self, start: SelfCalibration | None) -> Refinement | None:
-        priors = self.settings.refined
-        if priors is None or self._sensors is None or self._camera is None:
-            return None
-        return Refinement(self._window, self._sensors, priors, start)
 
     @property
     def calibration(self) -> SelfCalibration | None:
@@ -229,9 +225,8 @@ class OnlineEstimator:
     def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
         """Estimate the frames up to a time and return those whose lag has passed, oldest first.
 
-        Args:
-            time: s; by default that of the newest sample. A step of more than 5 s is not bridged.
-            hurry: of many frames that are due, solve every third only, to catch up.
+        `time`: s; by default that of the newest sample. A step of more than 5 s is not bridged. `hurry`: of many frames
+        that are due, solve every third only, to catch up.
         """
         now = self._newest if time is None else float(time)
         if self._origin is None and not self._begin():

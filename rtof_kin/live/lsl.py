@@ -52,10 +52,8 @@ def load_pylsl() -> Any:
 class ImuChannels:
     """Inertial sensors of one stream, each with an orientation, see `rtof_kin.formats.channels`.
 
-    Args:
-        stream: its name; of the sensor too, where labels name none.
-        labels, units, types: of each channel; units and types may be empty.
-        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
+    `stream`: its name; of the sensor too, where labels name none. `labels`, `units`, `types`: of each channel; units
+    and types may be empty. `declared`: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
 
     Raises:
         SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an
@@ -185,8 +183,7 @@ class LslClock:
 
         After a jump they go on from the arrivals, to within the jitter of the network.
 
-        Args:
-            stamps: (T,) s of the sender, in the order of arrival. now: s of this machine.
+        `stamps`: (T,) s of the sender, in the order of arrival. `now`: s of this machine.
         """
         if not np.isfinite(stamps).any():
             return stamps, None
@@ -367,9 +364,8 @@ def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
 class LslSource:
     """One stream; `LslImuSource` and `LslFrameSource` know what its channels mean.
 
-    Args:
-        timeout_s: s that it has to answer.
-        changed: what is said of a stream that came back with other names, by the new and the earlier ones.
+    `timeout_s`: s that it has to answer. `changed`: what is said of a stream that came back with other names, by the
+    new and the earlier ones.
     """
 
     clock = Clock.COMMON
@@ -507,9 +503,8 @@ class LslSource:
 class LslImuSource(LslSource):
     """Inertial sensors of one LSL stream; its channels are labelled as in `rtof_kin.formats.channels`.
 
-    Args:
-        timeout_s: s that it has to answer.
-        declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
+    `timeout_s`: s that it has to answer. `declared`: fields of `rtof_kin.data.imu_stream.Declaration` that replace what
+    it states.
     """
 
     def __init__(self, stream: str, declared: Mapping[str, Any] | None = None, timeout_s: float = 5.0):

@@ -156,10 +156,9 @@ def open_sources(
 
     Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of their own.
 
-    Args:
-        cameras, sensors: words of `CAMERAS` and `SENSORS`. speed: of replays, times real time; inf: without pace.
-        names: map of sensors, see `RenamedSensors`; None: they have the names of the calibration.
-        detector: gives the detector of a webcam's or a video's images.
+    `cameras`, `sensors`: words of `CAMERAS` and `SENSORS`. `speed`: of replays, times real time; inf: without pace.
+    `names`: map of sensors, see `RenamedSensors`; None: they have the names of the calibration. `detector`: gives the
+    detector of a webcam's or a video's images.
 
     Raises:
         SourceError: nothing is named, or twice; more than one camera; no such file; a speed for what is live.

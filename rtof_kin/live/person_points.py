@@ -34,9 +34,8 @@ _CHECKED: Final = 30  # Images with the person after which the layout is confirm
 class PersonPoints:
     """The skeleton's landmarks and the detector's own points of one person, followed over time.
 
-    Args:
-        detector: used for nothing else. camera_px: width and height that points are scaled to; None: as the images.
-        layout: of the detector's points; None: by their number.
+    `detector`: used for nothing else. `camera_px`: width and height that points are scaled to; None: as the images.
+    `layout`: of the detector's points; None: by their number.
 
     Raises:
         SourceError: no layout has as many points; the images have another form than the camera's.

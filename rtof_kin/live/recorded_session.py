@@ -64,13 +64,9 @@ class _Stream:
         times, values = times[order], tuple(value[order] for value in values)
         kept = ~_repeated(times, np.concatenate([value.reshape(len(times), -1) for value in values], axis=1))
         kept_values = tuple(value[kept] for value in values)
-        return cls(times[kept], kept_values, _lost(times), left_out, int(np.sum(~kept)))
-
-
-def _lost(times: Array) -> int:
-    """Return how many samples are not there, by the median step."""
-    steps = np.diff(times)
-    return int(np.sum(np.maximum(np.round(steps / np.median(steps)) - 1, 0))) if len(steps) else 0
+        steps = np.diff(times)
+        lost = int(np.sum(np.maximum(np.round(steps / np.median(steps)) - 1, 0))) if len(steps) else 0
+        return cls(times[kept], kept_values, lost, left_out, int(np.sum(~kept)))
 
 
 def _repeated(times: Array, numbers: Array) -> Mask:
@@ -127,7 +123,8 @@ def _read(live: Path) -> tuple[list[Chunk], list[str]]:
 def _recording(setup: Recording, chunks: Sequence[Chunk], notes: list[str], name: str) -> Recording:
     """Return the recording; what cannot be a part of it is noted."""
     keypoints, imus = _keypoints(setup, chunks, notes), _imus(setup, chunks, notes)
-    if imus is not None and keypoints is not None and not _overlap(imus.times, keypoints.times):
+    parts = [part for part in (imus, keypoints) if part is not None]
+    if max((part.times[0] for part in parts), default=0.0) > min((part.times[-1] for part in parts), default=0.0):
         notes.append("the video and the sensors were never there at the same time; the video is left out")
         keypoints = None
     if imus is None and keypoints is None:
@@ -139,10 +136,6 @@ def _recording(setup: Recording, chunks: Sequence[Chunk], notes: list[str], name
         keypoints = replace(keypoints, times=keypoints.times - start)
     text = "\n".join(filter(None, (setup.notes, f"live session; its clock was at {start:.6f} s", *notes)))
     return replace(setup, name=name, keypoints=keypoints, imus=imus, notes=text)
-
-
-def _overlap(a: Array, b: Array) -> bool:
-    return bool(a[0] <= b[-1] and b[0] <= a[-1])
 
 
 # --- video ---------------------------------------------------------------------------------------

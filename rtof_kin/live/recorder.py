@@ -107,10 +107,8 @@ class Recorder:
     ):
         """Make the folder and write the setup.
 
-        Args:
-            folder: to be written; new, or empty. video_delay_s: by how much the video's stamps are late.
-            chunk_s: length of a file, s.
-            in_background: write in a thread, so that a slow disk does not delay the estimate.
+        `folder`: to be written; new, or empty. `video_delay_s`: by how much the video's stamps are late. `chunk_s`:
+        length of a file, s. `in_background`: write in a thread, so that a slow disk does not delay the estimate.
 
         Raises:
             OutputExistsError: the folder has files. WritingError: it cannot be written.

@@ -35,9 +35,8 @@ _LONGEST_WAIT: Final = 0.05  # [s] after which a thread that waits looks whether
 class ReplayClock:
     """Time that all replays of a session have reached.
 
-    Args:
-        speed: times real time; inf: every round of polls is one step later, however long it took.
-        step: that of a round, s. now: seconds of the system.
+    `speed`: times real time; inf: every round of polls is one step later, however long it took. `step`: that of a
+    round, s. `now`: seconds of the system.
 
     Raises:
         InvalidInputError: the speed or the step is not positive.

@@ -146,7 +146,8 @@ class SensorBuffer:
 
     def _accelerations(self, after: Index, times: Array) -> tuple[Array, Array]:
         own = np.arange(len(after))[:, None, None]
-        around = int(np.ceil(_REACH * self._rate())) + 1
+        rates = self._rates()
+        around = int(np.ceil(_REACH * min(float(rates.max(initial=60.0)), 400.0))) + 1
         index = after[..., None] + np.arange(-around, around)
         there = (index >= 0) & (index < self._count[:, None, None])
         index = np.clip(index, 0, _CAPACITY - 1)
@@ -158,7 +159,7 @@ class SensorBuffer:
         weight = self._response[inside]
         total = weight.sum(axis=-1)
         # Samples evenly spaced over the whole response would sum to the rate.
-        known = total > _LEAST_SHARE * self._rates()[:, None]
+        known = total > _LEAST_SHARE * rates[:, None]
         mean = np.einsum("sfk,sfki->sfi", weight, np.where(there[..., None], a, 0.0))
         return np.where(known[..., None], mean / np.where(known, total, 1.0)[..., None], 0.0), known
 
@@ -170,10 +171,6 @@ class SensorBuffer:
         with np.errstate(invalid="ignore"):
             span = np.where(many, self._times[own, np.maximum(n - 1, 0)] - self._times[own, back], 1.0)
         return np.where(many, (n - 1 - back) / np.maximum(span, 1e-6), 60.0)
-
-    def _rate(self) -> float:
-        """Highest rate of a sensor, Hz."""
-        return min(float(self._rates().max(initial=60.0)), 400.0)
 
     def _convert(self) -> None:
         """Convert the newest rotations to quaternions, all at once."""

@@ -107,10 +107,9 @@ class LiveSession:
     ):
         """Put a session together; nothing is started yet.
 
-        Args:
-            recorder: of everything; None for none. video_delay_s: by how much the video's stamps are late.
-            patience_s: for streams that do not start.
-            in_background: start sources and check first seconds in threads; without, `step` is deterministic.
+        `recorder`: of everything; None for none. `video_delay_s`: by how much the video's stamps are late.
+        `patience_s`: for streams that do not start. `in_background`: start sources and check first seconds in threads;
+        without, `step` is deterministic.
 
         Raises:
             InvalidInputError: two sources of one name.

@@ -52,10 +52,8 @@ Images = Generator[Image, None, None]
 class Examination:
     """Threads that read the images of one camera or file and examine them.
 
-    Args:
-        images: of it; closed at the end.
-        replay: by which images are due; None for a webcam, of which the newest image is examined.
-        now: this machine's clock, s.
+    `images`: of it; closed at the end. `replay`: by which images are due; None for a webcam, of which the newest image
+    is examined. `now`: this machine's clock, s.
     """
 
     def __init__(

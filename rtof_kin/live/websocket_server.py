@@ -239,9 +239,8 @@ class WebSocketServer:
     def __init__(self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None):
         """Open the port and begin to serve.
 
-        Args:
-            port: TCP port; 0: a free one, see `url`. host: address to listen at, this machine's alone by default.
-            floor_height: for the page, m.
+        `port`: TCP port; 0: a free one, see `url`. `host`: address to listen at, this machine's alone by default.
+        `floor_height`: for the page, m.
 
         Raises:
             SourceError: the port is taken, or the host is not an address of this machine.
@@ -308,9 +307,8 @@ class WebSocketServer:
     def send_status(self, status: Mapping[str, Any]) -> None:
         """Send the states of the streams to all clients; the last ones also to those that connect later.
 
-        Args:
-            status: `Monitor.status`: plain values; ``sensors`` is a list, ``camera`` one, with ``name``,
-                ``state`` and ``sentence``.
+        `status`: `Monitor.status`: plain values; ``sensors`` is a list, ``camera`` one, with ``name``, ``state`` and
+        ``sentence``.
 
         Raises:
             InvalidInputError: it is not plain, or has NaN.

@@ -70,9 +70,8 @@ class Window:
     ) -> None:
         """Build the problem.
 
-        Args:
-            skeleton: the subject's. camera: None without one. landmarks: names of the video's points.
-            sensors: calibrated; None without any. rate_hz: frames per second.
+        `skeleton`: the subject's. `camera`: None without one. `landmarks`: names of the video's points. `sensors`:
+        calibrated; None without any. `rate_hz`: frames per second.
         """
         self.skeleton, self.camera, self.sensors, self.rate_hz = skeleton, camera, sensors, rate_hz
         self._settings, self.frames, self.first = settings, frames, 1 - frames
@@ -362,7 +361,8 @@ class WindowPoses:
         """
         window, skeleton = self._window, self._skeleton
         p, R = window.data.space.poses(window.smoother.x[i : i + 1])
-        seen, sensed = window.seen[i], self._sensed(i)
+        seen, sensed = window.seen[i], np.zeros(len(skeleton.names), dtype=bool)  # by the camera; by its own sensor
+        sensed[list(window.data.problem.energy["orientation"].sensors)] = window.smoother.rows["w_sensor"][i] > 0
         by_imu = np.zeros(len(seen), dtype=bool)
         by_imu[1:] = sensed[list(skeleton.parents[1:])]  # the segments that end in the joints
         person = window.camera is None or seen.any()
@@ -385,13 +385,6 @@ class WindowPoses:
             valid[None],
             (sensed | (self._whole(seen) & valid))[None],
         )
-
-    def _sensed(self, i: int) -> Mask:
-        """(J,) segments whose sensor has data in frame i."""
-        out = np.zeros(len(self._skeleton.names), dtype=bool)
-        has = self._window.smoother.rows["w_sensor"][i] > 0
-        out[list(self._window.data.problem.energy["orientation"].sensors)] = has
-        return out
 
     def _whole(self, seen: Mask) -> Mask:
         """(J,) segments whose orientation the joints seen determine."""

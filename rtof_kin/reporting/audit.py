@@ -268,7 +268,9 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("confidence", "motion", why)
         return
     sensors = 0 if (imus := statistics.first.bone_imus) is None else len(imus.joints)
-    note = "the recorded data give no better accuracy" + ("; add sensors" if sensors < _MANY else "")
+    note = "the recorded data give no better accuracy; add sensors"
+    if sensors >= _MANY:
+        note = note.removesuffix("; add sensors")
     figures = (
         ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
         ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),

@@ -86,12 +86,9 @@ def export(
             for part in parts:
                 if statistics is None:
                     statistics, whole = ReconstructionStatistics(part), part
-                    first_frame, body = part.recording.first_frame, part.motion.skeleton
-                    path = temporary / MARKER
-                    motion = MotionWriter(path, body, mode=part.mode, first_frame=first_frame)
-                    measurements = MeasurementsWriter(temporary / MEASUREMENTS)
-                    files.enter_context(motion)
-                    files.enter_context(measurements)
+                    about: dict[str, Any] = {"mode": part.mode, "first_frame": part.recording.first_frame}
+                    motion = files.enter_context(MotionWriter(temporary / MARKER, part.motion.skeleton, **about))
+                    measurements = files.enter_context(MeasurementsWriter(temporary / MEASUREMENTS))
                 else:
                     statistics.add(part)
                     whole = None

@@ -142,8 +142,7 @@ def seen_camera(
     Sensors whose mounting is found with the image do not tell its tilt any more, so what floor and posture
     say is used here, before them.
 
-    Args:
-        height: of the person, m. lifter: default: the shipped one. progress: called with (stage, steps done, in all).
+    `height`: of the person, m. `lifter`: default: the shipped one. `progress`: called with (stage, steps done, in all).
 
     Raises:
         Errors of the lift.
@@ -241,10 +240,9 @@ def rotation_of_video(
 ) -> BackgroundMotion:
     """Estimate the turning of a camera, and its focal length where it turned.
 
-    Args:
-        video, people, camera, sigma_focal: as for `estimate_camera_motion`.
-        phone: log of the gyroscope of the phone that filmed, and of its accelerometer, which gives the tilt.
-        progress: called with ("camera", frames done, in total).
+    `video`, `people`, `camera`, `sigma_focal`: as for `estimate_camera_motion`. `phone`: log of the gyroscope of the
+    phone that filmed, and of its accelerometer, which gives the tilt. `progress`: called with ("camera", frames done,
+    in total).
 
     Raises:
         FileFormatError: a file cannot be read. InvalidInputError: the background has nothing to follow, or

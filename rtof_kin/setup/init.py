@@ -99,10 +99,8 @@ def find_people(
 ) -> People:
     """Detect the people, number them and write `KEYPOINTS` and `PICTURE`.
 
-    Args:
-        folder: to write; an unfinished one is replaced.
-        detect: detects the people in a video, where there are no keypoints; default: the detector of `settings`.
-        inputs: fingerprints for the folder's manifest.
+    `folder`: to write; an unfinished one is replaced. `detect`: detects the people in a video, where there are no
+    keypoints; default: the detector of `settings`. `inputs`: fingerprints for the folder's manifest.
 
     Raises:
         InvalidInputError: there is no person, or the keypoints lack the image's size or times.
@@ -220,9 +218,8 @@ def write_recording(
 ) -> Findings:
     """Write ``recording.toml`` and the sensors beside what `find_people` wrote.
 
-    Args:
-        sources, settings: as for `find_people`. name: title in reports; default: of the video or keypoints.
-        inputs: fingerprints for the folder's manifest. progress: called with (stage, steps done, in all).
+    `sources`, `settings`: as for `find_people`. `name`: title in reports; default: of the video or keypoints. `inputs`:
+    fingerprints for the folder's manifest. `progress`: called with (stage, steps done, in all).
 
     Returns:
         What was given, found, assumed and is in doubt; `read_findings` reads it again.
@@ -282,14 +279,10 @@ def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupS
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
         INDEX: recording_text({**tables, "notes": {"text": Field(found.text)}}, title),
     }
-    if settings.keep_video:
+    if settings.keep_video or (video := sources.video) is None:
         return texts
-    return {file: _unnamed(text, sources.video) for file, text in texts.items()}
-
-
-def _unnamed(text: str, video: Path | None) -> str:
-    """Return a text without the name of the video."""
-    return text if video is None else text.replace(str(video), "the video").replace(video.name, "the video")
+    names = str(video), video.name
+    return {file: text.replace(names[0], "the video").replace(names[1], "the video") for file, text in texts.items()}
 
 
 def read_findings(folder: str | Path) -> Findings:

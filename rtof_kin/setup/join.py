@@ -43,8 +43,7 @@ def join_recordings(
     Clocks are found from the movement. Two calibrated cameras are in one world already; of others the second
     one's pose, and both focal lengths, are found too (`find_second_camera`).
 
-    Args:
-        first: with sensors or without; its camera defines the world. lifter: default: the shipped one.
+    `first`: with sensors or without; its camera defines the world. `lifter`: default: the shipped one.
 
     Raises:
         InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_npz, write_npz
 from rtof_kin.core.files.folder import new_file
@@ -82,19 +82,15 @@ def _without_doubles(detections: Detections) -> Detections:
     """Return the detections without those that a detector made twice of one person; the surer one stays."""
     uv, confidence = np.array(detections.uv_px), np.array(detections.confidence)
     for p, q in combinations(range(uv.shape[1]), 2):
-        same = _same(uv[:, p], uv[:, q])
+        # The frames (T,) in which both are one, by most of the points that both have.
+        apart = np.linalg.norm(uv[:, p] - uv[:, q], axis=-1)
+        size = np.linalg.norm(np.fmax.reduce(uv[:, p], axis=1) - np.fmin.reduce(uv[:, p], axis=1), axis=-1)
+        both, near = np.isfinite(apart).sum(axis=1), (apart < _DOUBLE * size[:, None]).sum(axis=1)
+        same = (both >= _FEWEST_POINTS) & (near > both / 2)
         surer = confidence[:, p].sum(axis=-1) >= confidence[:, q].sum(axis=-1)
         for gone, frames in ((q, same & surer), (p, same & ~surer)):
             uv[frames, gone], confidence[frames, gone] = np.nan, 0.0
     return replace(detections, uv_px=uv, confidence=confidence)
-
-
-def _same(a: Array, b: Array) -> Mask:
-    """Return the frames (T,) in which two people (T, K, 2) are one, by most of the points that both have."""
-    apart = np.linalg.norm(a - b, axis=-1)
-    size = np.linalg.norm(np.fmax.reduce(a, axis=1) - np.fmin.reduce(a, axis=1), axis=-1)
-    both, near = np.isfinite(apart).sum(axis=1), (apart < _DOUBLE * size[:, None]).sum(axis=1)
-    return np.asarray((both >= _FEWEST_POINTS) & (near > both / 2))
 
 
 def write_people(path: Path, people: People) -> None:
@@ -237,7 +233,9 @@ def _draw(
 ) -> None:
     width, height = image_px
     if image is None:
-        axes.add_patch(_rectangle(width, height))
+        from matplotlib.patches import Rectangle
+
+        axes.add_patch(Rectangle((0, 0), width, height, facecolor="#f4f4f2", edgecolor="#b0b0b0", linewidth=0.8))
     else:
         axes.imshow(image, extent=(0, width, height, 0))
     axes.set_xlim(0, width)
@@ -273,9 +271,3 @@ def _draw(
             va="bottom",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )
-
-
-def _rectangle(width: int, height: int) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((0, 0), width, height, facecolor="#f4f4f2", edgecolor="#b0b0b0", linewidth=0.8)

@@ -160,9 +160,8 @@ def reconstruct_folder(
 ) -> ReconstructionStatistics:
     """Reconstruct the recording of a folder, a long one in parts, and export the motion.
 
-    Args:
-        output: folder to write; one that may not be replaced is refused before the work.
-        inputs: fingerprints for its manifest.
+    `output`: folder to write; one that may not be replaced is refused before the work. `inputs`: fingerprints for its
+    manifest.
     """
     check_replaceable(output, MARKER, overwrite)
     with ExitStack() as stack:

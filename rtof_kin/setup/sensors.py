@@ -61,9 +61,8 @@ def set_up_sensors(
 ) -> SetupSensors:
     """Find clock, segments, headings and mounting of the sensors of a video.
 
-    Args:
-        sensor_map: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
-        start_utc: when the video began, if known.
+    `sensor_map`: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
+    `start_utc`: when the video began, if known.
 
     Raises:
         InvalidInputError: no sensor moves, or video and sensors have nothing in common.

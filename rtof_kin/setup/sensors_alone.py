@@ -35,10 +35,9 @@ def make_sensor_recording(
 ) -> Findings:
     """Write a recording of sensors alone; the person stands still in a known pose for a second.
 
-    Args:
-        sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; height and pose (`rtof_kin.inertial.pose_calibration.POSES`) are used.
-        name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
+    `sources`: sensors and, where their names do not say it, a map of their segments. `settings`: of the user; height
+    and pose (`rtof_kin.inertial.pose_calibration.POSES`) are used. `name`: title in reports; default: of the files.
+    `inputs`: fingerprints for the folder's manifest.
 
     Raises:
         InvalidInputError: which sensor is where is not known.

@@ -103,11 +103,8 @@ def recognise_source(path: str | Path) -> SourceKind:
 
 
 def _is_video(path: Path, head: bytes) -> bool:
-    if head[4:8] in _BOXES or head.startswith(_CONTAINERS):
-        return True
-    if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
-        return True
-    return path.suffix.lower() in VIDEO_SUFFIXES
+    known = head[4:8] in _BOXES or head.startswith(_CONTAINERS) or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
+    return known or path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def _names(path: Path) -> tuple[str, ...]:

@@ -125,9 +125,8 @@ class Canvas:
     def ellipse(self, centre: Sequence[float] | Array, shape: Array, stroke: Stroke, fill: float) -> None:
         """Draw an ellipse with a translucent interior; nothing if it is not finite or larger than the image.
 
-        Args:
-            centre: (2,) px. shape: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``.
-            fill: opacity of the interior, 0 to 1.
+        `centre`: (2,) px. `shape`: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``. `fill`: opacity of the
+        interior, 0 to 1.
         """
         if not (np.isfinite(shape).all() and np.isfinite(centre).all()):
             return

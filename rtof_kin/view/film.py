@@ -113,10 +113,9 @@ def write_overlay(
 
     Sound and metadata of the video are not copied.
 
-    Args:
-        folder: output of `reconstruct` or `run`. output: file to write, .mp4 or .gif.
-        video: that the motion was computed from; None for a plain background. view: number of the camera, from 1.
-        overwrite: replace an existing file. progress: called with ("draw", pictures done, pictures in all).
+    `folder`: output of `reconstruct` or `run`. `output`: file to write, .mp4 or .gif. `video`: that the motion was
+    computed from; None for a plain background. `view`: number of the camera, from 1. `overwrite`: replace an existing
+    file. `progress`: called with ("draw", pictures done, pictures in all).
 
     Raises:
         RtofError: an input is missing, damaged or does not fit; the output exists or cannot be written.
@@ -126,7 +125,12 @@ def write_overlay(
     check_new_file(output, overwrite)
     result = read_result(folder)
     chosen = choose_view(result, view, video is not None)
-    source = _source(video, chosen, result.motion, settings)
+    source: FilmSource
+    if video is not None:
+        source = open_source(video, chosen)
+    else:
+        pixels = chosen.camera.width_px, chosen.camera.height_px
+        source = PlainSource(pixels, result.motion.times, settings.background)
     notes: tuple[str, ...] = ()
     if isinstance(source, VideoSource):
         notes = check_size(source, chosen) + check_times(source, chosen, settings.shift)
@@ -168,13 +172,6 @@ def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureVi
             "so where the motion is in the video is unknown; say --no-video"
         )
     return view
-
-
-def _source(video: str | Path | None, view: PictureView, motion: Motion, settings: OverlaySettings) -> FilmSource:
-    if video is not None:
-        return open_source(video, view)
-    size = view.camera.width_px, view.camera.height_px
-    return PlainSource(size, motion.times, settings.background)
 
 
 def _painter(result: ResultFiles, view: ScaledView, settings: OverlaySettings) -> Painter:

@@ -139,8 +139,7 @@ def scale_of(size: tuple[int, int], view: PictureView) -> float:
 
     Where the sides differ, pixels were cut or added at the right or lower edge.
 
-    Args:
-        size: width and height of the picture, px.
+    `size`: width and height of the picture, px.
     """
     across, down = size[0] / view.camera.width_px, size[1] / view.camera.height_px
     return min((across, down), key=lambda scale: abs(scale - 1))

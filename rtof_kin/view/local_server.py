@@ -26,8 +26,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
     It cannot be shared over viser's public relay, and answers only who knows its `address`, see
     `rtof_kin.core.local_door`.
 
-    Args:
-        port: TCP port; 0: a free one.
+    `port`: TCP port; 0: a free one.
 
     Raises:
         SourceError: the port is taken. RtofError: the extra is not installed.

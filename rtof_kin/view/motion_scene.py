@@ -57,9 +57,8 @@ class Stage:
     ):
         """Add floor and axes, and choose the first view.
 
-        Args:
-            poses: first frames of the motion.
-            floor: height of the floor, m; default: that of the measurements, else the lowest point of the first frames.
+        `poses`: first frames of the motion. `floor`: height of the floor, m; default: that of the measurements, else
+        the lowest point of the first frames.
         """
         self._server = server
         given = floor if measurements is None or floor is not None else measurements.floor_height

@@ -78,16 +78,10 @@ def virtual_view(motion: Motion) -> VirtualView:
     ahead = R[known, :, 0].sum(axis=0) * (1.0, 1.0, 0.0)
     norm = float(np.linalg.norm(ahead))
     ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
-    camera = _distant_enough(points, middle, ahead)
-    return VirtualView(camera, motion.times, moved)
-
-
-def _distant_enough(points: Array, middle: Array, ahead: Array) -> Camera:
-    """Return the camera in the direction `ahead` at a distance from which all points are seen."""
     radius = float(np.linalg.norm(points - middle, axis=-1).max())
-    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)
+    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)  # from which all points are seen
     position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
-    return Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE)
+    return VirtualView(Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE), motion.times, moved)
 
 
 @dataclass(frozen=True)

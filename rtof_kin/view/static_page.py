@@ -92,9 +92,8 @@ def write_static_page(
 ) -> StaticPage:
     """Write a page; a long motion has fewer frames per second, so that the file stays within its limit.
 
-    Args:
-        server: of `local_server`, without a scene. start, stop: of the part, s. rate_hz: frames per second, at most.
-        overwrite: replace an existing file. progress: called with ("page", frames done, frames in all).
+    `server`: of `local_server`, without a scene. `start`, `stop`: of the part, s. `rate_hz`: frames per second, at
+    most. `overwrite`: replace an existing file. `progress`: called with ("page", frames done, frames in all).
 
     Raises:
         InvalidInputError: an empty part, or it would exceed the limit even at 5 Hz.

@@ -266,8 +266,8 @@ def test_jobs_wait_for_memory_and_say_so(monkeypatch: pytest.MonkeyPatch, caplog
 
 def test_workers_are_no_more_than_the_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "total_memory", lambda: 8_000_000_000)
-    assert Processes(16, memory_per_job=3e9)._most() == 2
-    assert Processes(16)._most() == 16
+    assert module._Pool(Processes(16, memory_per_job=3e9), print).most == 2
+    assert module._Pool(Processes(16), print).most == 16
     with pytest.raises(InvalidInputError, match=r"9\.0 GB, but this machine has 8\.0 GB"):
         Processes(memory_per_job=9e9)
     with pytest.raises(InvalidInputError, match="workers: 0"):
