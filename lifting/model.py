@@ -61,7 +61,7 @@ class TemporalNetwork(nn.Module):
         return self.receptive_field() - 1 if self.config.causal else self.receptive_field() // 2
 
     def forward(self, features: Tensor, constants: Tensor) -> Tensor:
-        """Return the output (B, outputs) of each window's estimated frame; constants are (B, constants)."""
+        """Return the output (B, outputs) of features (B, receptive_field, inputs) and constants (B, constants)."""
         if features.shape[1] != self.receptive_field():
             raise ValueError(f"windows of {features.shape[1]} frames; this network sees {self.receptive_field()}")
         first, *widths = self.config.filter_widths

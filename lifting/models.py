@@ -105,7 +105,7 @@ class FoldedNetwork:
         self._shrink = out[:, -1].clone(), _transposed(out[:, :-1])
 
     def __call__(self, features: Tensor, constants: Tensor) -> Tensor:
-        """Return the network's output (B, outputs); constants are (B, constants)."""
+        """Return the output (B, outputs) of features (B, receptive_field, inputs) and constants (B, constants)."""
         x = self._first(features, torch.addmm(self._constant[0], constants, self._constant[1])[:, None])
         for temporal, pointwise, width, which in self._blocks:
             kept = x[:, which::width]

@@ -150,7 +150,9 @@ class Lifter:
     def lift_windows(
         self, source: Source, times: Array, bones: Array, height: float, flip: bool = True
     ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Estimate the poses at B times, s; what the model does not estimate is NaN, as bones and height may be.
+        """Estimate the poses at B times, s; what the model does not estimate is NaN.
+
+        Bones (3 G,), m, see `bones_of`, and the camera's height over the floor, m, may be NaN.
 
         Returns:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations (B, J, 3, 3) of the
@@ -190,6 +192,8 @@ class Lifter:
 
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
         """Return a person's bones in shared frames, as the network takes them (`Body.bones_of`); NaN if None.
+
+        The offsets (J, 3), m, are of each joint in its parent's link frame.
 
         Raises:
             InvalidInputError: not finite, or not a human's bone lengths.

@@ -382,5 +382,5 @@ def step_jerk(steps: Matrix, rate_hz: Matrix) -> Matrix:
 
 
 def height(p: Matrix, floor: Matrix) -> Matrix:
-    """Return the height (1, n), m, of a point p (3, n), m, over that of standing."""
+    """Return the height (1, n), m, of a point p (3, n), m, over `floor`, that of a standing point, m."""
     return p[2, :] - floor

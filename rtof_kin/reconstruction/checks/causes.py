@@ -233,7 +233,7 @@ def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
 
 
 def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
-    """Check that a resting sensor is on a resting segment, by the joint it shares with the next sensor."""
+    """Check that a resting sensor is on a resting segment: both it and the next one give their joint's acceleration."""
     times, worst = native.times, (0.0, 0, 0.0, 0.0)
     if len(times) < 3 or np.ptp(times) < _STILL_WINDOW:
         return Check.unknown(STILL, "sensors", "m/s2", f"there are less than {_STILL_WINDOW:g} s")
