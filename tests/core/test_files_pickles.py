@@ -110,6 +110,25 @@ def test_a_command_is_refused_and_not_run(path: Path, place: Callable[[Any], Any
     assert mark.exists()  # an ordinary reader would have run it
 
 
+@pytest.mark.parametrize(
+    "content, name",
+    [
+        (Harm(eval, "1/0"), r"builtins\.eval"),
+        (Harm(getattr, "", "join"), r"builtins\.getattr"),
+        (Harm(np.load, "/etc/passwd", None, True), r"numpy.*\.load"),
+        (Harm(np.fromfile, "/etc/passwd"), r"numpy.*\.fromfile"),
+        (Harm(pickle.loads, b"."), r"_pickle\.loads"),
+        (Harm(bytearray, 10**9), r"builtins\.bytearray"),
+        (np.ma.masked_array([1.0], [True]), r"numpy\.ma"),
+        (np.datetime64("2020-01-01"), "M8"),
+        (np.array(["a"]), "U1"),
+    ],
+)
+def test_only_plain_data_and_numeric_arrays_are_made(path: Path, content: Any, name: str) -> None:
+    with pytest.raises(FileFormatError, match=rf"its pickle: not opened.*{name}"):
+        read(path, pickle.dumps({"S1": [content]}, 4))
+
+
 REPEATED = (
     b"\x8e" + struct.pack("<Q", 80_000) + bytes(80_000) + b"q\x05" + filled(b"M\x10\x27\x85", dtype("f8"), b"h\x05")
 )
@@ -124,13 +143,23 @@ REPEATED = (
         (b"\x82\x4d", "KeyError"),  # of the extension registry
         (b"K\x01Q", "persistent"),
         (text("print") + b")R", "not callable"),
+        (NDARRAY + b")\x81", "KeyError"),
+        (NDARRAY + b"}" + text("a") + b"Nsb", "something else"),
         (b"]}" + text("a") + b"Nsb", "something else"),
+        (EMPTY + b"}b", "damaged"),
         (filled(b"K\x01\x85", dtype("V8"), EIGHT), "of type '<V8'"),
         (filled(b"K\x02\x85", dtype("O8"), EIGHT), "with 8 bytes"),
+        (filled(b"K\x08\x85", dtype("O8"), EIGHT), "not bytes"),
         (filled(b"K\x01\x85", dtype("f8", b"K\x03" + text("<") + b"})}NNN"), EIGHT), "something else"),
         (filled(b"K\x03\x85", dtype("f4"), EIGHT), r"shape \(3,\) and type float32 with 8 bytes"),
+        (filled(b"J\xff\xff\xff\xff\x85", dtype("f4"), EIGHT), r"shape \(-1,\)"),
+        (filled(text("ab"), dtype("f4"), EIGHT), "damaged"),
+        (filled(b"K\0\x85", dtype("f4"), b"]"), "not bytes"),
         (REPEATED + filled(b"M\x10\x27\x85", dtype("f8"), b"h\x05"), "with 80000 bytes"),
         (b"\x8e" + struct.pack("<Q", 2**62) + b"abc", "damaged"),
+        (b"h\x07", "damaged"),
+        (b"(((", "damaged"),
+        (b"\xff", "damaged"),
         (b"N." + b"more", "after the end"),
     ],
 )

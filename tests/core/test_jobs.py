@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ from protocol_support import read_json
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes, RayCluster, open_runs, run_jobs
 from rtof_kin.core.jobs import processes as module
-from rtof_kin.core.jobs.memory import available_memory
+from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, resident_memory, total_memory
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
 
@@ -90,6 +94,18 @@ def test_failures_are_reported_by_job_and_do_not_stop_the_others(
     assert not [path for path in runs.glob("*.json") if path.stem != "b"]
 
 
+def test_progress_is_called_after_every_job(log: Path, runs: Path, caplog: pytest.LogCaptureFixture) -> None:
+    jobs = orders(log, a="work", b="refuse", c="work")
+    reports: list[tuple[int, int, str]] = []
+    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
+    assert reports == [(0, 3, ""), (1, 3, "a"), (2, 3, "b failed: b: the take is too short"), (3, 3, "c")]
+    assert not caplog.records
+    run_jobs(obey, jobs, runs, 1, lambda *report: reports.append(report))
+    assert reports[4] == (2, 3, "2 of 3 were done before")
+    with pytest.raises(InvalidInputError, match="workers: 0"):
+        run_jobs(obey, jobs, runs, 0)
+
+
 def test_worker_processes_have_one_thread_each_and_change_no_result(
     log: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,6 +129,15 @@ def test_worker_processes_have_one_thread_each_and_change_no_result(
     assert outcome.failed["b"] == "ZeroDivisionError: b divided by nothing"
     assert outcome.failed["d"] == "d: the take is too short"
     assert (runs / "a.npz").read_bytes() == (alone / "a.npz").read_bytes()
+
+
+def test_a_killed_process_fails_its_own_job_only(log: Path, runs: Path) -> None:
+    jobs = orders(log, a="work", b="die", c="work", d="work")
+    outcome = run_jobs(obey, jobs, runs, workers=2)
+    assert list(outcome.done) == ["a", "c", "d"]
+    assert list(outcome.failed) == ["b"]
+    assert "its process was killed" in outcome.failed["b"]
+    assert list(run_jobs(obey, jobs, runs, workers=2).failed) == ["b"]  # also where it is the only one
 
 
 def test_an_interruption_terminates_the_worker_processes_only(log: Path, runs: Path) -> None:
@@ -216,6 +241,18 @@ def test_a_job_runs_again_where_a_motion_it_measured_is_missing(tmp_path: Path, 
     assert calls(log) == ["a", "a", "b", "c"]
 
 
+DRIVER = """
+import sys
+from pathlib import Path
+import engine_jobs
+from rtof_kin.core.jobs import Processes
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    for _ in Processes(2).run(engine_jobs.sleep_and_tell, ((str(k), folder) for k in range(9))):
+        pass
+"""
+
+
 def answers(engine: Engine, function: Any, arguments: dict[str, Any]) -> dict[str, Any]:
     return {e.key: e.answer if e.lost is None else e.lost for e in engine.run(function, arguments.items())}
 
@@ -225,6 +262,28 @@ def test_every_job_has_one_answer(engine: Engine) -> None:
     assert answers(engine, engine_jobs.square, {str(k): k for k in range(20)}) == {str(k): k * k for k in range(20)}
     assert answers(engine, engine_jobs.square, {}) == {}
     assert answers(engine, engine_jobs.fail, {"a": "raise"}) == {"a": "ZeroDivisionError: by nothing"}
+
+
+def test_jobs_are_taken_as_there_is_room_for_them() -> None:
+    taken = []
+
+    def jobs() -> Iterator[tuple[str, int]]:
+        for k in range(100):
+            taken.append(k)
+            yield str(k), k
+
+    results = Processes(1).run(engine_jobs.square, jobs())
+    next(results)
+    assert len(taken) < 5
+    results.close()
+
+
+def test_workers_are_warm_have_one_thread_and_are_replaced_after_so_many_jobs() -> None:
+    found = answers(Processes(1, jobs_per_worker=2), engine_jobs.whereabouts, dict.fromkeys("abcd", 0))
+    workers = [process for process, _ in found.values()]
+    assert workers[0] == workers[1] != workers[2] == workers[3]
+    assert os.getpid() not in workers
+    assert {threads for _, threads in found.values()} == {"1"}
 
 
 def test_a_lost_job_is_tried_once_more_after_the_others_and_then_reported(
@@ -247,7 +306,44 @@ def test_a_process_that_ends_and_an_answer_that_cannot_be_sent_are_reasons() -> 
     assert "pickle" in found["b"]
 
 
+def test_workers_end_with_a_killed_driver(tmp_path: Path) -> None:
+    path = os.pathsep.join([str(Path(engine_jobs.__file__).parent), *sys.path])
+    script = tmp_path / "driver.py"
+    script.write_text(DRIVER)
+    driver = subprocess.Popen([sys.executable, str(script), str(tmp_path)], env={**os.environ, "PYTHONPATH": path})
+    try:
+        _until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        workers = [int(p.stem) for p in tmp_path.glob("*.pid")]
+        assert all(resident_memory(worker) for worker in workers)
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+        _until(lambda: not any(resident_memory(worker) for worker in workers))
+    finally:
+        driver.kill()
+        driver.wait()
+
+
+def _until(true: Any) -> None:
+    for _ in range(3000):
+        if true():
+            return
+        time.sleep(0.02)
+    raise AssertionError("it did not become so in a minute")
+
+
 # --- memory --------------------------------------------------------------------------------------
+
+
+def test_no_job_starts_while_the_memory_is_promised_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_POLL", 0.01)
+    monkeypatch.setattr(module, "available_memory", lambda: 1_500_000_000)
+    monkeypatch.setattr(module, "total_memory", lambda: 4_000_000_000)
+    found = answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("abcd", 0.1))
+    periods = sorted(found.values())
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(periods))
+    monkeypatch.setattr(module, "available_memory", lambda: 4_000_000_000)
+    periods = sorted(answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("ab", 3.0)).values())
+    assert periods[1][0] < periods[0][1]
 
 
 def test_jobs_wait_for_memory_and_say_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
@@ -290,6 +386,21 @@ def test_limit_of_a_control_group_is_the_memory(version: int, tmp_path: Path) ->
         spare = "inactive_file" if version == 2 else "total_inactive_file"
         (top / folder / "memory.stat").write_text(f"anon 5\n{spare} 400000000\n")
     assert available_memory(proc, groups) == 2_400_000_000
+
+
+def test_memory_of_this_process_is_measured() -> None:
+    total = total_memory()
+    assert total is not None
+    reset_peak()
+    before = peak_memory()
+    assert before is not None
+    block = bytearray(200_000_000)
+    block[::4096] = b"x" * len(block[::4096])
+    after = peak_memory()
+    assert after is not None
+    assert 150_000_000 < after - before < 300_000_000
+    assert 0 < resident_memory(os.getpid()) <= total
+    assert resident_memory(2**22 + 1) == 0
 
 
 # --- Ray -----------------------------------------------------------------------------------------

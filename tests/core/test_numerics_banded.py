@@ -105,6 +105,15 @@ def test_half_solutions_multiply_to_products_with_the_inverse(
     np.testing.assert_array_equal(right, before)
 
 
+def test_right_hand_side_of_another_size_is_refused(solver: Solver) -> None:
+    factor = solver(system(4, 2), 2)
+    for size in (3, 5):
+        with pytest.raises(SolverError, match=f"{size} numbers for a system of 4"):
+            factor.solve(np.ones(size))
+        with pytest.raises(SolverError, match="right-hand sides"):
+            factor.forward_columns(np.ones((size, 2)))
+
+
 @pytest.mark.parametrize("width", [1, 5, 60])
 @pytest.mark.parametrize("at", [0, 40, 79])
 @pytest.mark.parametrize("value", [0.0, -1e-9, -1e9, np.nan, np.inf])
@@ -122,6 +131,16 @@ def test_matrix_is_refused_from_a_negative_eigenvalue_on(solver: Solver, size: i
     solver(H - 0.999 * least * np.eye(size), width)
     with pytest.raises(SolverError, match="not positive definite"):
         solver(H - 1.001 * least * np.eye(size), width)
+
+
+def test_factor_overwrites_the_band_in_any_memory_layout() -> None:
+    H, right = system(30, 4), np.ones(30)
+    band = band_of(H, 4)
+    factor = factorise(band)
+    assert np.shares_memory(factor.band, band)
+    for wide in (np.full((60, 8), np.nan), np.full((60, 8), np.nan, order="F")):
+        wide[::2, ::2] = band_of(H, 4)
+        np.testing.assert_array_equal(factorise(wide[::2, ::2]).solve(right), factor.solve(right))
 
 
 @pytest.mark.parametrize("compile", [True, False])
@@ -156,3 +175,10 @@ def test_inverse_diagonal_of_a_long_stiff_chain_stays_accurate_and_symmetric() -
     np.testing.assert_allclose(found, diagonal_of_inverse(H, size), rtol=1e-6)
     assert np.linalg.eigvalsh(found).min() > 0
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
+
+
+def test_blocks_that_do_not_fit_the_band_are_refused(solver: Solver) -> None:
+    factor = solver(system(12, 5), 5)
+    for size in (5, 2):
+        with pytest.raises(SolverError, match=f"12 unknowns with a band of 4: not 2 blocks of {size}"):
+            factor.blocks(size, 2)

@@ -77,6 +77,58 @@ def test_minimum_is_that_of_scipy() -> None:
     assert apart(problem, solved.x, problem.space.retract(solved.x, peer.x.reshape(5, D))) < 0.05
 
 
+@pytest.mark.parametrize("kind", ["all bare", "all whole", "all balls"])
+def test_energy_decreases_and_gradient_vanishes(kind: str) -> None:
+    start = Start(kind)
+    problem = start.problem
+    solved = LevenbergMarquardt(problem, None).solve(start.x, 300, FINE)
+    before = np.abs(problem.gradient(start.x)).max()
+    assert solved.converged
+    assert problem.total(solved.x) < 0.5 * problem.total(start.x)
+    assert np.abs(problem.gradient(solved.x)).max() < 1e-4 * before
+
+
+@pytest.mark.parametrize("limited", [False, True])
+def test_no_iteration_increases_the_energy(start: Start, limited: bool) -> None:
+    solver = LevenbergMarquardt(start.problem, start.limits if limited else None)
+    energies, x = [], start.x
+    for _ in range(12):
+        x = solver.solve(x, 1, 0.0).x
+        energies.append(solver._energy(x, np.zeros((N, 1))))
+    assert np.all(np.diff(energies) <= 1e-9)
+
+
+def test_iterations_are_counted_and_limited(start: Start) -> None:
+    solver, before = LevenbergMarquardt(start.problem, start.limits), start.x.copy()
+    for most in (0, 1, 5):
+        solved = solver.solve(start.x, most, 1e-12)
+        assert solved.iterations == most
+        assert solved.out_of_iterations
+        assert not solved.converged
+    np.testing.assert_array_equal(solver.solve(start.x, 0, 1e-12).x, before)
+
+
+def test_looser_tolerance_stops_earlier_and_an_optimum_takes_no_iteration(start: Start) -> None:
+    solver = LevenbergMarquardt(start.problem, None)
+    loose, tight = (solver.solve(start.x, 400, t) for t in (1e-2, 1e-12))
+    assert loose.converged
+    assert loose.iterations < tight.iterations
+    again = solver.solve(tight.x, 400, 1e-9)
+    assert again.converged
+    assert again.iterations == 0
+    np.testing.assert_array_equal(again.x, tight.x)
+
+
+def test_equal_calls_give_equal_results_whatever_was_solved_between(start: Start) -> None:
+    solver = LevenbergMarquardt(start.problem, start.limits)
+    first = solver.solve(start.x, 30, 1e-6)
+    solver.solve(js.states(start.problem.space, N, 3), 10, 1e-6)
+    again = solver.solve(start.x, 30, 1e-6)
+    np.testing.assert_array_equal(again.x, first.x)
+    np.testing.assert_array_equal(again.multipliers, first.multipliers)
+    assert again.iterations == first.iterations
+
+
 # --- with limits ---------------------------------------------------------------------------------
 
 
@@ -105,6 +157,14 @@ def test_limits_are_satisfied_with_the_multipliers_of_an_optimum(kind: str) -> N
     assert start.problem.total(solved.x) > start.problem.total(free.x)
 
 
+def test_inactive_limits_do_not_change_the_solution(start: Start) -> None:
+    wide = Limits(start.built.space)
+    wide.lower, wide.upper = wide.lower - 3.0, wide.upper + 3.0
+    one, two = (LevenbergMarquardt(start.problem, limits).solve(start.x, 300, FINE) for limits in (wide, None))
+    assert np.all(one.multipliers == 0)
+    np.testing.assert_array_equal(one.x, two.x)
+
+
 def test_multipliers_of_a_solution_warm_start_the_next(start: Start) -> None:
     solver = LevenbergMarquardt(start.problem, start.limits)
     solved = solver.solve(start.x, 400, 1e-8)
@@ -112,6 +172,19 @@ def test_multipliers_of_a_solution_warm_start_the_next(start: Start) -> None:
     assert again.iterations <= solved.iterations / 4
     assert apart(start.problem, again.x, solved.x) < 1e-3
     check_optimality(start, again)
+
+
+def test_unrelated_multiplier_does_not_change_the_optimum(start: Start) -> None:
+    # A multiplier of a start 30 degrees beyond a limit that is 10 degrees away at the optimum.
+    free = LevenbergMarquardt(start.problem, None).solve(start.x, 300, FINE)
+    limits, column = start.limits, 2
+    limits.lower, limits.upper = limits.lower - 3.0, limits.upper + 3.0
+    limits.upper[column] = limits.values(free.x)[:, column].max() + np.radians(10)
+    wrong = np.zeros((N, len(limits.names)))
+    wrong[:, column] = 1700.0
+    solved = LevenbergMarquardt(start.problem, limits).solve(start.x, 400, 1e-8, wrong)
+    check_optimality(start, solved)
+    assert start.problem.total(solved.x) == pytest.approx(start.problem.total(free.x), rel=1e-6)
 
 
 def test_convergence_is_not_claimed_with_violated_limits(start: Start) -> None:

@@ -71,6 +71,17 @@ def test_log_from_half_a_turn_on_is_the_shorter_rotation() -> None:
         np.testing.assert_allclose(quat.log(np.array([0.0, *axis])), np.pi * axis, atol=1e-15)
 
 
+def log_of_product(v: Array, d: Array) -> Array:
+    return np.asarray((Rotation.from_rotvec(v) * Rotation.from_rotvec(d)).as_rotvec())
+
+
+@given(seed=seeds, angle=st.sampled_from(ANGLES[:-2]) | st.floats(0.0, 3.1))
+def test_inverse_right_jacobian_is_the_derivative_of_log(seed: int, angle: float) -> None:
+    v, h = vector(seed, angle), 1e-6
+    columns = [(log_of_product(v, h * e) - log_of_product(v, -h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(quat.right_jacobian_inverse(v), np.array(columns).T, atol=1e-7)
+
+
 @given(seed=seeds, angle=st.sampled_from(ANGLES[:-2]) | st.floats(0.0, 6.0))
 def test_right_jacobian_is_the_derivative_of_exp(seed: int, angle: float) -> None:
     v, h = vector(seed, angle), 1e-6

@@ -27,6 +27,11 @@ def assert_close(a: Array, b: Array, tolerance: float = 1e-13) -> None:
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
 
 
+@given(VECTORS, VECTORS)
+def test_skew_is_the_cross_product(a: Array, b: Array) -> None:
+    assert_close(so3.skew(a) @ b, np.cross(a, b))
+
+
 @given(VECTORS)
 def test_exp_equals_scipy_and_its_inverse_is_of_the_negative(v: Array) -> None:
     assert_close(so3.exp(v), Rotation.from_rotvec(v).as_matrix())
@@ -39,6 +44,47 @@ def test_log_inverts_exp_up_to_half_a_turn(angle: float) -> None:
     v = angle * so3.unit(RNG.normal(size=(50, 3)))
     assert_close(so3.log(so3.exp(v)), v, 1e-7 if angle > 3.1 else 1e-12)
     assert_close(so3.log(so3.exp([0, 0, 4.0])), np.array([0, 0, 4.0 - 2 * np.pi]))
+
+
+def test_batches_equal_single_rotations() -> None:
+    v = RNG.normal(size=(2, 3, 4, 3))
+    R = so3.exp(v)
+    assert R.shape == (2, 3, 4, 3, 3)
+    assert so3.log(R).shape == v.shape
+    for i in np.ndindex(2, 3, 4):
+        assert_close(R[i], so3.exp(v[i]))
+        assert_close(so3.to_quat_wxyz(R)[i][None] ** 2, so3.to_quat_wxyz(R[i])[None] ** 2)
+    assert_close(so3.about_axis("y", v[..., 0])[1, 2, 3], so3.about_axis("y", v[1, 2, 3, 0]))
+    assert_close(so3.skew(v)[1, 2, 3], so3.skew(v[1, 2, 3]))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 1e-3, 1.0, 3.0, np.pi])
+def test_angle_between_is_accurate_even_when_tiny(angle: float) -> None:
+    R = random_rotations(20)
+    turned = R @ so3.exp(angle * so3.unit(RNG.normal(size=(20, 3))))
+    # At half a turn the chord is flat: the square root of the rounding.
+    tolerance = 1e-15 if angle < 0.1 else 1e-7 if angle > 3.1 else 1e-13
+    assert_close(so3.angle_between(R, turned), np.full(20, angle), tolerance)
+
+
+@given(VECTORS, VECTORS)
+def test_minimal_rotation_turns_a_to_b_by_their_angle(a: Array, b: Array) -> None:
+    a, b = a + np.array([0, 0, 4.5]), b + np.array([4.5, 0, 0])  # neither is zero
+    R = so3.minimal_rotation(a, b)
+    assert so3.is_rotation(R, tolerance=1e-14)
+    assert_close(R @ so3.unit(a), so3.unit(b), 1e-15)
+    sine, cosine = np.linalg.norm(np.cross(a, b)), a @ b
+    assert_close(so3.angle_between(R, np.eye(3)), np.arctan2(sine, cosine), 1e-7)
+
+
+@pytest.mark.parametrize("gap", [1e-1, 1e-4, 4.5e-5, 1e-5, 1e-8, 1e-11, 1e-14, 0.0])
+def test_minimal_rotation_is_accurate_near_opposite_directions(gap: float) -> None:
+    a = so3.unit(RNG.normal(size=(500, 3)))
+    across = so3.unit(np.cross(a, RNG.normal(size=(500, 3))))
+    b = -np.cos(gap) * a + np.sin(gap) * across
+    R = so3.minimal_rotation(a, b)
+    assert so3.is_rotation(R, tolerance=1e-14)
+    assert_close((R @ a[..., None])[..., 0], b, 1e-14)
 
 
 def test_minimal_rotation_of_opposite_equal_and_zero_vectors() -> None:
@@ -117,6 +163,13 @@ def test_angles_are_exact_at_and_near_a_singular_posture(order: str, gap: float)
         assert np.all(np.abs(found[:, 1]) <= np.pi / 2)
 
 
+def test_singular_posture_has_the_whole_turn_in_the_third_angle() -> None:
+    R = so3.euler_to_matrix("yxz", [0.3, np.pi / 2, 0.0])
+    found = so3.matrix_to_euler("yxz", R)
+    assert_close(found[..., :2], np.array([0.0, np.pi / 2]))
+    assert abs(found[2]) == pytest.approx(0.3)
+
+
 @given(VECTORS, st.tuples(*[st.floats(-20, 20)] * 3).map(np.array))
 def test_nearest_angles_are_the_nearest_of_all_equivalent_ones(angles: Array, near: Array) -> None:
     best = so3.euler_near(angles, near)
@@ -136,6 +189,13 @@ def test_continuous_angles_pass_turns_and_branches_without_a_jump(order: str) ->
     found = so3.euler_continuous(so3.matrix_to_euler(order, R))
     assert_close(found, angles, 1e-9)
     assert_close(so3.euler_continuous(found[:1]), found[:1])
+
+
+def test_angle_about_a_given_axis() -> None:
+    rng = np.random.default_rng(8)
+    for angle in [*rng.uniform(-np.pi, np.pi, 20), 0.0, 1e-9, np.pi / 2]:
+        axis = so3.unit(rng.normal(size=3))
+        assert so3.angle_about(axis, so3.exp(angle * axis)) == pytest.approx(angle, abs=1e-12)
 
 
 def test_missing_rotations_stay_missing_as_quaternions_and_vectors() -> None:

@@ -42,6 +42,17 @@ def test_interpolation_is_nan_outside_the_samples_and_in_long_gaps() -> None:
     np.testing.assert_allclose(out, [0.15, np.nan, 1.05])
 
 
+def test_interpolation_of_no_sample_and_of_one() -> None:
+    out = signals.interpolate(np.arange(4.0), np.full((4, 2), np.nan), [1.0, 2.0])
+    assert np.isnan(out).all()
+    one = signals.interpolate(np.array([1.0]), np.array([7.0]), [0.9, 1.0, 1.1])
+    np.testing.assert_array_equal(one, [np.nan, 7.0, np.nan])
+    R = signals.interpolate_rotations(np.array([1.0]), np.eye(3)[None, None], [0.0, 1.0])
+    np.testing.assert_array_equal(np.isnan(R[:, 0, 0, 0]), [True, False])
+    none = signals.interpolate_rotations(np.arange(3.0), np.full((3, 1, 3, 3), np.nan), [1.0])
+    assert np.isnan(none).all()
+
+
 def test_rotations_between_samples_equal_scipy_slerp() -> None:
     times = np.cumsum(RNG.uniform(0.01, 0.05, 12))
     R = np.stack([Rotation.random(12, rng=s).as_matrix() for s in (1, 2)], axis=1)
@@ -82,6 +93,17 @@ def test_average_integrates_irregular_samples_exactly() -> None:
         hat = 1 - np.abs(fine) / h
         brute = [np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine) for t in at]
         assert_close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
+
+
+def test_kernel_does_not_cross_gaps() -> None:
+    for rate, first in [(30.0, 7), (50.0, 40), (60.0, 33), (90.0, 20), (100.0, 61), (120.0, 40)]:
+        times = 0.013 + np.arange(80) / rate  # at 90 Hz a corner of the kernel rounds into the gap
+        x = np.ones((80, 2))
+        x[first, 0] = np.nan
+        out = signals.hat_average(times, x, times, 1 / rate, max_gap=1.5 / rate)
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(out[:, 0])), [first - 1, first, first + 1])
+        np.testing.assert_allclose(out[np.isfinite(out)], 1, rtol=1e-8)
+        assert np.isfinite(out[:, 1]).all()
 
 
 def test_average_fills_short_gaps_and_is_nan_outside() -> None:
@@ -127,6 +149,12 @@ def test_low_pass_filters_each_interval_between_gaps() -> None:
     assert np.isnan(out[20, 1])
     assert np.isnan(out[21]).all()
     assert_close(out[20, [0, 2]], x[20, [0, 2]])
+
+
+@pytest.mark.parametrize(("frames", "cutoff_hz"), [(60, 30.0), (60, 50.0), (3, 12.0), (1, 12.0), (0, 12.0)])
+def test_low_rates_and_short_intervals_are_not_filtered(frames: int, cutoff_hz: float) -> None:
+    x = RNG.normal(size=(frames, 3))
+    assert_close(signals.low_pass_known(np.arange(frames) / 60, x, cutoff_hz), x)
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,22 @@ def test_trc_is_read_by_its_header(tmp_path: Path) -> None:
     assert np.isnan(markers.p_world[1, 0]).all()
 
 
+def test_trc_gap_is_empty_cells_with_all_their_tabs(markers: MarkerSequence, tmp_path: Path) -> None:
+    write_trc(tmp_path / "out.trc", markers)
+    lines = (tmp_path / "out.trc").read_text().splitlines()
+    assert {line.count("\t") for line in lines[3:]} == {2 + 3 * 3}  # a tab ends the line, as OpenSim's
+    assert lines[5 + 4].split("\t")[5:8] == ["", "", ""]
+
+
+def test_trc_in_opensims_ground_has_z_on_the_right(markers: MarkerSequence, tmp_path: Path) -> None:
+    path = tmp_path / "out.trc"
+    write_trc(path, markers, up="opensim")
+    assert_same(read_trc(path, up="opensim"), markers, 1e-9)
+    x, y, z = markers.p_world[0, 0]
+    first = path.read_text().splitlines()[5].split("\t")[2:5]
+    np.testing.assert_allclose([float(cell) for cell in first], [x, z, -y], atol=1e-9)
+
+
 def test_real_triangulated_markers_project_onto_their_detections(tmp_path: Path) -> None:
     camera = read_camera_toml(DATA / "markers" / "cam_01.toml")["cam_01"]
     seen = read_detector_file(DATA / "detectors" / "two_people", 1088, 1920).uv_px[:, 0]
@@ -225,6 +241,38 @@ def test_c3d_of_every_storage_of_numbers(processor: int, as_integers: bool, tmp_
 )
 def test_c3d_unlabelled_points(changes: dict[str, object], names: tuple[str, ...], tmp_path: Path) -> None:
     assert read_c3d(written(tmp_path, c3d_bytes(84, False, changes))).names == names
+
+
+@pytest.mark.parametrize(
+    "changes, says",
+    [
+        ({"ANGLES": ["Sum", "A"]}, "no point"),
+        ({"Y_SCREEN": ""}, "POINT:Y_SCREEN.*up='z'"),
+        ({"FRAMES": 200}, "announces 200 frames and holds 14"),
+        ({"DATA_START": 1}, "block 1"),
+    ],
+)
+def test_incomplete_c3d_is_refused(changes: dict[str, object], says: str, tmp_path: Path) -> None:
+    path = written(tmp_path, c3d_bytes(84, False, changes))
+    with pytest.raises(FileFormatError, match=says):
+        read_c3d(path)
+    if "Y_SCREEN" in changes:
+        assert len(read_c3d(path, up="z")) == 2
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        (b"", "not a C3D file"),
+        (b"\2\x50" * 10, "not a C3D file"),
+        (b"\0" * 2000, "not a C3D file"),
+        (b"\2\x50" + bytes(2000), "no known processor"),
+        (c3d_bytes(84, False)[:560].ljust(1024, b"\xff"), "parameter"),
+    ],
+)
+def test_damaged_c3d_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=says):
+        read_c3d(written(tmp_path, content))
 
 
 def test_c3d_needs_times_of_one_rate(markers: MarkerSequence, tmp_path: Path) -> None:

@@ -25,7 +25,14 @@ from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.markers import read_c3d
-from rtof_kin.formats.motion_files import DEFAULT, FORMATS, write_motion_csv, write_motion_files, write_motion_parquet
+from rtof_kin.formats.motion_files import (
+    DEFAULT,
+    FORMATS,
+    motion_columns,
+    write_motion_csv,
+    write_motion_files,
+    write_motion_parquet,
+)
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]
@@ -132,6 +139,18 @@ def test_opensim_reads_markers_and_gaps(motion: Motion, opensim: dict[str, Array
     hand = list(motion.skeleton.landmarks).index("RightHandEnd")
     assert np.isnan(found[HAND_UNSEEN, hand]).all()
     assert np.isfinite(found[HAND_UNSEEN, 0]).all()
+
+
+@pytest.mark.parametrize("ending", ["mot", "sto"])
+def test_header_names_unobserved_joints_and_coordinates(folder: Path, ending: str) -> None:
+    head, _ = (folder / f"motion_2.{ending}").read_text().split("endheader")
+    assert "Unobserved joints" in head
+    assert "LeftLeg 71.4 %, LeftFoot 71.4 %." in head
+    assert "knee_angle_l 71.4 %" in head
+    last, _ = (folder / f"motion_3.{ending}").read_text().split("endheader")
+    assert "Unobserved joints" not in last
+    assert "Unobserved coordinates" in last
+    assert "LeftHand_y 100 %, wrist_flex_l 100 %, wrist_dev_l 100 %." in last
 
 
 def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion: Motion) -> None:
@@ -308,6 +327,17 @@ def test_parquet_extra(motion: Motion, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RtofError, match=r"\[parquet\]"):
         write_motion_files(tmp_path, motion, ["parquet"])
+
+
+def test_columns_have_different_names_and_a_row_per_frame(motion: Motion) -> None:
+    columns = motion_columns(motion)
+    names = [column.name for column in columns]
+    # A revolute LeftLeg_y and the y of the landmark LeftLeg are two things.
+    assert len(set(names)) == len(names) == 1 + 7 + 60 + 3 * 33 + 2 * 21 + 1 + 60 + 12
+    assert {len(column.values) for column in columns} == {60}
+    assert {column.unit for column in columns} == {"s", "m", "1", "rad", ""}
+    hip = columns[names.index("RightUpLeg_y")]
+    assert hip.also == {"clinical": "-right hip flexion", "opensim": "-hip_flexion_r"}
 
 
 @pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])

@@ -14,12 +14,13 @@ from opensim_support import read_by_opensim
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim import (
     coordinate_values,
     coordinates,
     read_opensim_table,
+    to_osim,
     write_mot,
     write_osim,
     write_sto,
@@ -76,6 +77,13 @@ def test_opensim_reproduces_the_motion_of_either_skeleton(body: SkeletonModel, t
     np.testing.assert_allclose(found["motion.mot/markers"], p @ R_GROUND_WORLD.T, atol=1e-9)
 
 
+def test_file_states_axes_zero_and_standard_gravity(skeleton: SkeletonModel) -> None:
+    text = to_osim(skeleton)
+    assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
+    assert "<gravity>0.0 -9.80665 0.0</gravity>" in text
+    assert "nan" not in text.lower()
+
+
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
     """Coordinates of a configuration, by default the T-pose with some revolutes turned, rad."""
     q = skeleton.t_pose() if q is None else q
@@ -91,6 +99,21 @@ def moving(skeleton: SkeletonModel, q: np.ndarray) -> Motion:
     return Motion(skeleton, q, poses, skeleton.check(q))
 
 
+def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None:
+    found = coordinates(any_skeleton.table)
+    assert len({c.name for c in found}) == len(found) == any_skeleton.nv
+    assert [c.name for c in found[:6]] == [
+        "pelvis_tilt",
+        "pelvis_list",
+        "pelvis_rotation",
+        "pelvis_tx",
+        "pelvis_ty",
+        "pelvis_tz",
+    ]
+    assert {c.joint for c in found} == set(any_skeleton.names)
+    assert all(c.range[0] < 0 < c.range[1] for c in found)
+
+
 def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
     assert values_of(skeleton, RightUpLeg_y=-0.5)["hip_flexion_r"] == 0.5
     assert values_of(skeleton, LeftUpLeg_x=-0.2)["hip_adduction_l"] == 0.2
@@ -98,6 +121,12 @@ def test_signs_are_opensims(skeleton: SkeletonModel) -> None:
     assert values_of(skeleton, LeftForeArm_z=-1.3)["elbow_flex_l"] == 1.3
     assert values_of(skeleton, Spine_y=0.3)["lumbar_extension"] == -0.3
     assert values_of(skeleton, RightArm_x=0.4)["RightArm_x"] == 0.4  # OpenSim has no such angle
+
+
+def test_range_is_reversed_with_the_sign(skeleton: SkeletonModel) -> None:
+    found = {c.name: c for c in coordinates(skeleton.table)}
+    np.testing.assert_allclose(np.degrees(found["hip_flexion_r"].range), [-60, 140])
+    np.testing.assert_allclose(np.degrees(found["knee_angle_r"].range), [-10, 165])
 
 
 def test_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonModel) -> None:
@@ -147,6 +176,23 @@ def test_mot_has_degrees_metres_and_the_announced_counts(motion: Motion, tmp_pat
     np.testing.assert_array_equal(table[:, names.index("pelvis_ty")], motion.q[:, 2])
 
 
+def test_sto_has_radians_speeds_and_state_paths(motion: Motion, tmp_path: Path) -> None:
+    write_sto(tmp_path / "walk.sto", motion)
+    header, names, table = read(tmp_path / "walk.sto")
+    assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]
+    assert names[1] == "/jointset/Hips/pelvis_tilt/value"
+    assert names[-1] == "/jointset/LeftFoot/LeftFoot_z/speed"
+    _, values = coordinate_values(motion)
+    np.testing.assert_array_equal(table[:, 1:67], values)
+    central = (values[2:] - values[:-2]) * 60 / 2
+    np.testing.assert_allclose(table[1:-1, 67:], central, atol=1e-9)
+
+
+def test_single_frame_has_no_speed(motion: Motion, tmp_path: Path) -> None:
+    write_sto(tmp_path / "one.sto", motion[:1])
+    assert not read(tmp_path / "one.sto")[2][:, 67:].any()
+
+
 @pytest.mark.parametrize("write", [write_mot, write_sto])
 def test_gaps_and_uneven_times_are_refused(write: object, motion: Motion, tmp_path: Path) -> None:
     assert callable(write)
@@ -191,3 +237,17 @@ def test_tabs_blanks_and_states_are_read(tmp_path: Path) -> None:
 def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
     read_text_as_table(tmp_path, GOOD + "0.0\t\t1.0\n0.1\t5\t1.0\n")
     assert np.isnan(read_opensim_table(tmp_path / "a.mot").values[0, 0])
+
+
+@pytest.mark.parametrize(
+    "text, named",
+    [
+        (GOOD.replace("inDegrees=yes", "") + ROWS, "inDegrees"),
+        (GOOD.replace("time", "frame") + ROWS, "time"),
+        (GOOD + "0.0\tx\t1.0\n", "numbers"),
+        (GOOD.replace("pelvis_tx", "knee_angle_r") + ROWS, "more than once"),
+    ],
+)
+def test_damage_is_named(text: str, named: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=named):
+        read_text_as_table(tmp_path, text)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from sensor_support import moved, read_as
 
 from rtof_kin.core.checks import Check, Verdict
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import CHOICES, Declaration, SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial import laws
@@ -58,6 +59,11 @@ def test_correct_streams_pass(seed: int, rests: bool, rate_hz: float) -> None:
     assert {c.name for c in checks if c.passed} >= {*LAWS, JUMP}
 
 
+@pytest.mark.parametrize("means", truths(1, 8))
+def test_correct_declarations_pass(means: Declaration) -> None:
+    assert not failed(read_as(moved(), means, means), means)
+
+
 @pytest.mark.parametrize(
     "absent",
     [("w_sensor",), ORIENTATION, ("f_sensor",), ("f_sensor", "w_sensor"), ("f_sensor", "w_sensor", *ORIENTATION)],
@@ -70,6 +76,13 @@ def test_missing_channels_give_unknown_checks(absent: tuple[str, ...]) -> None:
     assert all(check.advice and np.isnan(check.value) for check in unknown)
 
 
+@pytest.mark.parametrize("T", [1, 2, 3, 12])
+def test_a_few_samples_fail_nothing(T: int) -> None:
+    s = moved(seconds=4.0)
+    short = SensorStream("short", s.times[:T], s.f_sensor[:T], s.R_inertial_sensor[:T], s.w_sensor[:T])
+    assert not failed(short)
+
+
 @pytest.mark.parametrize(
     "name, value",
     [(name, value) for name in ("f_sensor", "w_sensor") for value in (np.nan, 0.0, 1e300)]
@@ -79,6 +92,11 @@ def test_damaged_or_constant_channels_fail(name: str, value: object) -> None:
     stream = moved(seconds=6.0)
     array = np.broadcast_to(value, getattr(stream, name).shape)
     assert failed(replace(stream, **{name: array}))
+
+
+def test_a_constant_orientation_alone_fails_as_stuck() -> None:
+    still = SensorStream("still", np.arange(300) / 60, None, np.tile(np.eye(3), (300, 1, 1)))
+    assert list(failed(still)) == ["stuck values of orientation"]
 
 
 def test_gaps_do_not_disturb_the_laws() -> None:
@@ -99,6 +117,15 @@ def test_a_wrong_field_is_found_and_its_value_named(means: Declaration, field: s
         likely = [dict(c.likely) for c in checks.values() if c.name in LAWS]
         assert likely, f"{field} = {value} is not found"
         assert all(change == {field: getattr(means, field)} for change in likely)
+
+
+@pytest.mark.parametrize("field", [name for name in CHOICES if name != "quaternion_order"])
+def test_a_wrong_field_is_found_without_quaternions(field: str) -> None:
+    stream = without(moved(), "quaternion_norm")
+    for value in CHOICES[field][1:]:
+        declared = PLAIN.changed(**{field: value})
+        checks = failed(read_as(stream, PLAIN, declared), declared).values()
+        assert {tuple(c.likely.items()) for c in checks} == {((field, CHOICES[field][0]),)}
 
 
 def test_two_wrong_fields_are_named_together() -> None:
@@ -128,6 +155,13 @@ def test_removed_gravity_is_found(rests: bool) -> None:
     assert "gravity was removed" in direction.advice
 
 
+def test_turning_determines_the_unit_without_gravity() -> None:
+    declared = Declaration("g", "removed")
+    checks = failed(read_as(moved(), Declaration("mg", "removed"), declared), declared)
+    assert laws.LEVER in checks
+    assert all(c.likely.get("acceleration_unit") == "mg" for c in checks.values() if c.likely)
+
+
 def test_the_gyroscope_determines_a_wrong_rate() -> None:
     stream = moved(rate_hz=60.0)
     check = failed(replace(stream, times=stream.times[0] + np.arange(len(stream)) / 100))[GYROSCOPE]
@@ -146,6 +180,28 @@ def test_sensors_of_a_log_share_the_likely_declaration() -> None:
     assert {check.subject for check in checks} == {"odd"}
 
 
+def test_noise_is_explained_by_no_declaration() -> None:
+    stream = moved()
+    R = Rotation.random(len(stream), rng=np.random.default_rng(0)).as_matrix()
+    check = failed(replace(stream, R_inertial_sensor=R))[GYROSCOPE]
+    assert not check.likely
+    assert check.advice.endswith("No other declaration makes it hold")
+
+
+def test_a_missing_orientation_is_refused_where_it_is_needed() -> None:
+    with pytest.raises(InvalidInputError, match="orientation"):
+        Declaration(gravity="removed").filed_acceleration(np.zeros((2, 3)))
+    with pytest.raises(InvalidInputError, match="wrist has no orientation"):
+        laws.rates_of_orientation(without(moved(), "R_inertial_sensor"))
+
+
+def test_equally_likely_changes_are_all_named() -> None:
+    """A level sensor at rest is the same for several declarations."""
+    f = np.tile([0.0, 0.0, 9.81], (300, 1)) + np.random.default_rng(0).normal(0, 0.01, (300, 3))
+    still = SensorStream("table", np.arange(300) / 60, f, np.tile(np.diag([1.0, -1.0, -1.0]), (300, 1, 1)))
+    assert "inertial_axes = z down" in failed(still)[DIRECTION].advice
+
+
 @pytest.mark.parametrize("late", [-12, -3, 2, 25])
 def test_a_delay_of_the_gyroscope_is_found(late: int) -> None:
     stream = moved(noise=0.0)
@@ -153,6 +209,13 @@ def test_a_delay_of_the_gyroscope_is_found(late: int) -> None:
     assert check.failed
     assert check.value == pytest.approx(abs(late), abs=0.1)
     assert ("after" if late > 0 else "before") in check.advice
+
+
+def test_a_mean_rate_is_half_a_sample_late() -> None:
+    stream = moved(noise=0.0)
+    rate = np.array(stream.w_sensor)
+    rate[1:] = (rate[1:] + rate[:-1]) / 2
+    assert laws.delay(replace(stream, w_sensor=rate)) == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -182,6 +245,13 @@ def test_a_constant_rotation_of_the_orientation_is_found() -> None:
     assert check.advice.endswith("with that rotation gravity points up")
 
 
+def test_a_rotation_and_other_reference_axes_are_named_together() -> None:
+    turn = Rotation.from_rotvec([0, 1, 1]).as_matrix()
+    turned = replace(moved(), R_inertial_sensor=moved().R_inertial_sensor @ turn)
+    check = failed(read_as(turned, Declaration(inertial_axes="y up"), PLAIN))[DIRECTION]
+    assert check.advice.endswith("with that rotation, and inertial_axes = y up, gravity points up")
+
+
 def test_turning_about_one_axis_determines_no_rotation() -> None:
     T = np.arange(600) / 60
     R = Rotation.from_rotvec(np.outer(np.sin(3 * T), [0, 0, 1]))
@@ -209,6 +279,24 @@ def test_quaternions_without_unit_norm_fail() -> None:
     assert name.startswith("norm of quaternions")
     assert check.value == pytest.approx(0.2)
     assert "sample 17" in check.advice
+
+
+def test_rests_are_independent_of_the_declaration() -> None:
+    stream = moved()
+    expected = laws.at_rest(stream)
+    assert 0.2 < expected.mean() < 0.8
+    for declared in truths(3, 10):
+        np.testing.assert_array_equal(laws.at_rest(read_as(stream, PLAIN, declared)), expected)
+
+
+def test_rates_of_the_orientation_are_those_at_the_middle_of_the_steps() -> None:
+    stream = moved(noise=0.0)
+    times, w = laws.rates_of_orientation(stream)
+    expected = (stream.w_sensor[1:] + stream.w_sensor[:-1]) / 2
+    np.testing.assert_allclose(times, (stream.times[1:] + stream.times[:-1]) / 2)
+    assert np.sqrt(np.mean((w - expected) ** 2)) < 0.03
+    arm = float(of(laws.LEVER, stream).advice.split()[-2])
+    assert 0.15 < arm < 0.6
 
 
 def test_an_accelerometer_scale_error_fails() -> None:
@@ -290,6 +378,14 @@ def test_lost_packets_are_counted(share: float) -> None:
     assert checks[JITTER].passed
 
 
+def test_the_longest_gap_is_named() -> None:
+    keep = np.ones(len(STREAM), dtype=bool)
+    keep[300:420] = False
+    advice = found(kept(keep))[LOST].advice
+    assert advice.startswith("120 of ")
+    assert "the longest gap is 2.02 s" in advice
+
+
 def test_missing_stuck_and_constant_channels_are_found() -> None:
     f, w = np.array(STREAM.f_sensor), np.array(STREAM.w_sensor)
     f[::10, 1] = np.nan
@@ -314,6 +410,14 @@ def test_saturation_is_found_in_the_axes_of_the_file(declared: Declaration) -> N
     assert "saturated samples of acceleration" in failing(replace(STREAM, f_sensor=clipped), declared)
 
 
+def test_saturation_is_the_share_of_samples_at_the_ends_of_the_range() -> None:
+    w = np.clip(STREAM.w_sensor, -5.0, 5.0)
+    check = found(replace(STREAM, w_sensor=w))["saturated samples of gyroscope"]
+    assert check.failed
+    beyond = np.abs(STREAM.w_sensor).max(axis=1) > 5.0
+    assert check.value == pytest.approx(100 * np.mean(beyond), abs=1)
+
+
 def test_iron_disturbs_the_field_and_rotation_does_not() -> None:
     m = np.einsum("tji,j->ti", STREAM.R_inertial_sensor, [0.4, 0.0, -0.7])
     assert FIELD not in failing(replace(STREAM, m_sensor=m))
@@ -322,3 +426,9 @@ def test_iron_disturbs_the_field_and_rotation_does_not() -> None:
     assert FIELD in failing(replace(STREAM, m_sensor=near))
     absent = found(replace(STREAM, m_sensor=np.full_like(m, np.nan)))[FIELD]
     assert absent.verdict is Verdict.NOT_POSSIBLE
+
+
+def test_one_sample_has_no_rate() -> None:
+    one = SensorStream("one", np.array([0.0]), np.array([[0.0, 0.0, 9.81]]))
+    assert found(one)[LOST].verdict is Verdict.NOT_POSSIBLE
+    assert not failing(one)

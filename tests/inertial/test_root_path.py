@@ -10,12 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import (
+    ContactPoints,
     Contacts,
     ContactSettings,
     RootPath,
     RootPathSettings,
+    contact_points,
     detect_contacts,
     root_path,
 )
@@ -99,6 +102,16 @@ def test_drift_grows_with_distance_and_with_squared_flight_time() -> None:
         assert found.sigma[-1] == pytest.approx(expected, rel=0.1)
 
 
+def test_missing_accelerations_are_ignored() -> None:
+    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
+    a = np.array(imus.a_world)
+    a[50:80, 1] = np.nan
+    path = root_path(WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08)
+    assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.01
+    with pytest.raises(InvalidInputError, match="sigma_slip"):
+        RootPathSettings(sigma_slip=-1.0)
+
+
 SHANKS, WITH_FEET = ("LeftLeg", "RightLeg"), ("LeftLeg", "RightLeg", "LeftFoot", "RightFoot")
 
 
@@ -166,3 +179,25 @@ def test_feet_without_sensors_are_left_out_or_found_from_poses() -> None:
     assert 0.2 < every.standing.mean() < 0.9
     right = planted.bone_imus(BODY, poses, ("RightLeg", "LeftUpLeg"))
     assert detect_contacts(poses, right, BODY).joints == ("RightFoot",)
+
+
+def test_contact_points_are_at_the_ankle() -> None:
+    feet = WALK.poses.p_world_joint[:, BODY.index("LeftFoot", "RightFoot")]
+    places = contact_points(Contacts(("LeftFoot", "RightFoot"), STANDS), feet, 0.08).p_world
+    np.testing.assert_allclose(places[STANDS], feet[STANDS], atol=1e-6)
+    assert np.isnan(places[~STANDS]).all()
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: ContactSettings(window=0.0), "window"),
+        (lambda: Contacts(("LeftFoot",), np.zeros((5, 2))), r"expected shape \(T, 1\)"),
+        (lambda: Contacts(("LeftFoot", "LeftFoot"), np.zeros((5, 2))), "LeftFoot"),
+        (lambda: ContactPoints(("LeftFoot",), np.full((5, 1, 3), np.inf)), "finite, or NaN as a whole"),
+        (lambda: ContactPoints(("LeftFoot",), np.full((5, 1, 3), [0, 0, np.nan])), "NaN as a whole"),
+    ],
+)
+def test_invalid_values_are_refused(make: object, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        make()

@@ -64,6 +64,18 @@ def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[A
     }
 
 
+@pytest.mark.parametrize("batch", [1, 7])
+def test_onnx_and_torch_agree_on_random_windows(lifter: Lifter, file: Path, batch: int) -> None:
+    given = random_windows(lifter, batch, batch)
+    found = session(file).run(list(OUTPUTS), given)
+    graph = LifterGraph(lifter.description.body, lifter.network)
+    with torch.inference_mode():
+        wanted = graph(*(torch.from_numpy(value) for value in given.values()))
+    for name, ours, theirs in zip(OUTPUTS, wanted, found, strict=True):
+        assert np.isfinite(theirs).all(), name
+        np.testing.assert_allclose(theirs, ours.numpy(), atol=1e-4, err_msg=name)
+
+
 def test_onnx_gives_the_poses_that_predict_gives(lifter: Lifter, file: Path) -> None:
     camera, body = support.side_camera(), lifter.description.body
     keypoints = support.seen_by(camera, support.positions(0, T))

@@ -27,6 +27,7 @@ from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, ViewError
+from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -119,7 +120,31 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
     np.testing.assert_allclose(poses.sigma_m, sigma, rtol=1e-4)
 
 
+def test_outputs_are_read_only_rotations_with_positive_sigmas(lifted: LiftedPoses) -> None:
+    assert so3.is_rotation(lifted.R_world_bone)
+    assert (lifted.sigma_m > 0).all()
+    assert (lifted.sigma_rad > 0).all()
+    for values in (*arrays(lifted), lifted.seen):
+        assert values.dtype in (np.float64, np.bool_)
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1.0
+    with pytest.raises(ShapeError, match="sigma_rad"):
+        replace(lifted, sigma_rad=np.ones((T, 2)))
+
+
 # --- invariances ---------------------------------------------------------------------------------
+
+
+def test_prediction_turns_with_the_world(lifter: Lifter, lifted: LiftedPoses) -> None:
+    R, t = so3.about_axis("z", 1.9), np.array([3.0, -2.0, 0.5])
+    R_camera = CAMERA.R_camera_world @ R.T
+    elsewhere = replace(CAMERA, R_camera_world=R_camera, t_camera_world=CAMERA.t_camera_world - R_camera @ t)
+    turned = lifter.predict(
+        replace(KEYPOINTS, camera=elsewhere), OFFSETS, bone_imus=replace(IMUS, R_world_bone=R @ IMUS.R_world_bone)
+    )
+    expected = lifted.p_world_joint @ R.T + t, lifted.sigma_m, R @ lifted.R_world_bone, lifted.sigma_rad
+    for a, b in zip(arrays(turned), expected, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)
 
 
 def looking(R: Array) -> Camera:
@@ -215,6 +240,17 @@ def test_other_rates_give_the_same_motion(lifter: Lifter, rate_hz: float) -> Non
         np.testing.assert_allclose(other[round(second * rate_hz)], fine[60 * second], atol=2e-3)
 
 
+def test_uneven_times_and_single_frames_are_lifted(lifter: Lifter) -> None:
+    jitter = np.random.default_rng(0).uniform(-0.005, 0.005, T)
+    uneven = lifter.predict(replace(KEYPOINTS, times=KEYPOINTS.times + jitter), OFFSETS)
+    assert np.isfinite(uneven.p_world_joint).all()
+    assert uneven.seen.all()
+    for few in (1, 2):
+        short = lifter.predict(KEYPOINTS[:few], OFFSETS)
+        assert short.p_world_joint.shape == (few, 21, 3)
+        assert np.isfinite(short.p_world_joint).all()
+
+
 @pytest.mark.parametrize("causal", [True, False])
 def test_a_causal_lifter_ignores_later_frames(causal: bool) -> None:
     lifter = support.untrained_lifter(causal=causal)
@@ -229,6 +265,19 @@ def test_a_causal_lifter_ignores_later_frames(causal: bool) -> None:
             change = np.abs(a[:21] - b[:21]).reshape(21, -1).max(axis=1)
             assert change[: 21 if causal else 7].max() < 1e-6
             assert causal or change[8:].min() > 1e-7
+
+
+def test_a_causal_lifter_reads_the_frame_and_its_window_before_at_any_rate() -> None:
+    lifter = support.untrained_lifter(causal=True)
+    uv = np.array(KEYPOINTS.uv_px)
+    uv[5] += np.random.default_rng(0).normal(scale=30.0, size=(21, 2))
+    one, other = (lifter.predict(k, OFFSETS).p_world_joint for k in (KEYPOINTS, replace(KEYPOINTS, uv_px=uv)))
+    assert np.flatnonzero(np.abs(other - one).max(axis=(1, 2)) > 1e-7).tolist() == list(range(5, 5 + 27))
+    at_50 = support.seen_by(CAMERA, P, 50.0)
+    whole = lifter.predict(at_50, OFFSETS).p_world_joint
+    for length in (1, 17, 30):
+        part = lifter.predict(at_50[:length], OFFSETS).p_world_joint
+        np.testing.assert_allclose(part, whole[:length], atol=1e-5)
 
 
 # --- missing observations ------------------------------------------------------------------------
@@ -249,6 +298,14 @@ def test_gaps_are_interpolated_ends_repeated_and_both_marked(lifter: Lifter, fra
     share = np.linspace(0, 1, last - first + 3)[:, None, None]
     expected = (1 - share) * p[first - 1] + share * after
     np.testing.assert_allclose(p[first : last + 1], expected[1:-1], atol=1e-9)
+
+
+def test_joints_without_a_landmark_are_unseen(lifter: Lifter) -> None:
+    coco = [n for n in KEYPOINTS.names if n.endswith(("Arm", "Hand", "Leg", "Foot", "Head"))]
+    result = lifter.predict(KEYPOINTS.select(coco), OFFSETS)
+    assert result.seen.all()
+    masked = hidden(KEYPOINTS, slice(None), [n not in coco for n in KEYPOINTS.names])
+    assert_same(result, lifter.predict(masked, OFFSETS), 1e-9)
 
 
 @settings(max_examples=12, deadline=None)
@@ -292,6 +349,21 @@ def test_sensors_are_resampled_to_the_frames(lifter: Lifter) -> None:
     again = lifter.predict(KEYPOINTS, OFFSETS, bone_imus=every(1, 3))
     inside = slice(14, T)  # the first sample comes after the first frame
     np.testing.assert_allclose(again.p_world_joint[inside], expected.p_world_joint[inside], atol=2e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_extreme_landmarks_give_finite_positions(lifter: Lifter, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    uv = rng.normal(scale=10.0 ** rng.uniform(0, 6), size=(30, 21, 2))
+    if seed == 0:
+        uv[:] = 500.0  # everything in one point
+    confidence = (rng.uniform(size=(30, 21)) > 0.7).astype(float)
+    confidence[0] = 1.0
+    keypoints = KeypointSequence(CAMERA, np.arange(30) / 60, uv, confidence, support.TABLE.names)
+    assert np.isfinite(lifter.predict(keypoints).p_world_joint).all()
+    R = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+    above = Camera(CAMERA.K, R, -R @ np.array([0.0, 0.0, 6.0]), 1920, 1080)
+    assert np.isfinite(lifter.predict(support.seen_by(above, P)).p_world_joint).all()
 
 
 # --- wrong input ---------------------------------------------------------------------------------
@@ -353,6 +425,14 @@ def test_a_lifter_has_the_hash_of_its_file(lifter: Lifter, tmp_path: Path) -> No
     assert lifter.sha256 == ""
     with pytest.raises(FileFormatError, match="no such file; .*detections, perfect"):
         Lifter.load(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("name", list(LIFTERS))
+def test_shipped_lifters_are_loaded_by_name(name: str) -> None:
+    lifter = Lifter.load(name)
+    assert not lifter.description.network.causal
+    assert (lifter.description.recipe["augment"]["noise"]["clean"] == 1.0) == (name == "perfect")
+    assert lifter.sha256 == Lifter.load(model_path(LIFTERS[name])).sha256
 
 
 def recording_of_17(frames: int = 60) -> Recording:

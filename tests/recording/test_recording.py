@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 import textwrap
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,8 +31,7 @@ from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.labels import Session
+from rtof_kin.recording.index import INDEX, Session
 from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.recording.streams import BLOCK
 
@@ -280,6 +281,12 @@ def test_csv_files_give_the_same_recording_as_arrays(tmp_path: Path) -> None:
 # --- in memory -----------------------------------------------------------------------------------
 
 
+def test_the_default_body_is_the_table() -> None:
+    recording = Recording("x", planted.keypoints(planted.moving(SKELETON, 4).poses))
+    np.testing.assert_array_equal(recording.joint_offsets, SKELETON.joint_offsets)
+    assert recording.bone_imus() is None
+
+
 def test_bone_imus_are_resampled_to_the_video() -> None:
     truth = planted.moving(SKELETON, 30)
     recording = planted.recording(truth)
@@ -354,17 +361,56 @@ def test_fields_that_contradict_each_other_are_refused(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("focal_px = 1250.0", "focal_px = 4.2", r"\[camera\] focal_px: .* is it in mm\? Give px"),
+        ("schema_version = 1", "", "schema_version: missing"),
+        ("schema_version = 1", "schema_version = 2", "schema_version: 2 is not 1"),
+        (
+            "width_px = 1920",
+            "widht_px = 1920",
+            r"recording\.toml, line \d+, \[camera\] 'widht_px'\. Did you mean 'width_px'",
+        ),
+        (
+            "focal_px = 1250.0",
+            "focal_px = 4.2",
+            r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px",
+        ),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", "target_m: straight above, below"),
+        ('sex = "male"', 'sex = "m"', "'m' is not one of female, male"),
         ("keypoints.npz", "points.npz", r"there is no file .*points\.npz"),
+        ("keypoints.npz", "../keypoints.npz", "leads out of the folder"),
         ("rate_hz = 60.0\n", "", r"\[keypoints\] rate_hz: missing, and .* no times"),
         ('layout = "joints"', "", "landmarks: missing; list the names"),
+        ('layout = "joints"', 'layout = "coco"', "'coco' is not one of joints, auto, .*Did you mean 'coco"),
+        ('"joints"', '"joints"\nlandmarks = []', "layout: stands beside landmarks"),
+        (
+            'layout = "joints"',
+            f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}",
+            r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'",
+        ),
         ('layout = "joints"', 'landmarks = ["Hips"]', "1 names, but .* 21 points"),
-        ("RightLeg", "RightLag", r"line \d+, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
-        ("[0.5, 0.5, 0.5, 0.5]", "[0.5, 0.5, 0.5, 0.4]", r"\[imus\.sensors\.L_UpArm\] .*: has norm 0\.95"),
-        ("[imus.sensors.L_UpArm]", 'names = ["strap"]\n[imus.sensors.L_UpArm]', "1 sensors are named, but .* has 2"),
+        (
+            'joint = "RightLeg"',
+            'joint = "RightLag"',
+            r"recording\.toml, line \d+, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'",
+        ),
+        ("lever_arm_m = [0.05, 0.0, -0.16]", "", "lever_arm_m: missing; add 3"),
+        (
+            "[0.5, 0.5, 0.5, 0.5]",
+            "[0.5, 0.5, 0.5, 0.4]",
+            r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95",
+        ),
+        ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]', "'belt'"),
+        (
+            "[imus.sensors.L_UpArm]",
+            'names = ["strap"]\n[imus.sensors.L_UpArm]',
+            r"names: 1 sensors are named, but .* has 2",
+        ),
+        ("[camera]", "[skeleton]\ntable = 'smpl'\n[camera]", "'smpl' is not one of .*human36m"),
         ("[camera]", "[skeleton]\nbone_lengths_m = {Elbow = 1}\n[camera]", r"bone_lengths_m 'Elbow'"),
-        ("[camera]", "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]", "Spine1: missing"),
+        (
+            "[camera]",
+            "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]",
+            r"\[skeleton\.joint_offsets_m\] Spine1: missing",
+        ),
     ],
 )
 def test_a_wrong_line_raises_with_file_field_and_remedy(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -401,12 +447,15 @@ def with_value(array: np.ndarray, index: object, value: object) -> np.ndarray:
 
 UV = keypoint_arrays()["uv_px"]
 QUAT, FORCE = imu_arrays()["quat_wxyz"], imu_arrays()["f_sensor"]
+BACKWARDS = with_value(np.arange(T) / 60, 5, 0.0)
 
 
 @pytest.mark.parametrize(
     ("new", "message"),
     [
         ({"uv_px": None}, "no array 'uv_px' of shape"),
+        ({"uv_px": UV[0]}, r"uv_px: expected shape \(T, L, 2\), got \(21, 2\)"),
+        ({"uv_px": UV[:0], "confidence": None}, "times: empty"),
         ({"uv_px": with_value(UV, (1, 2), np.inf)}, "infinite; write NaN"),
         ({"confidence": np.full((T, 20), 1.0)}, "confidence: expected shape"),
         ({"uvpx": UV}, "array in .*keypoints.npz 'uvpx'. Did you mean 'uv_px'"),
@@ -428,6 +477,7 @@ def test_wrong_keypoint_arrays_raise_with_file_and_field(tmp_path: Path, new: di
             r"imus\.npz: quat_wxyz: sample 7 of strap has norm 1\.01, not 1; normalise it",
         ),
         ({"quat_wxyz": np.zeros_like(QUAT)}, "sample 0 of L_UpArm has norm 0"),
+        ({"quat_wxyz": QUAT[:-1]}, r"quat_wxyz: expected shape \(40, 2, 4\)"),
         ({"quat_wxyz": None}, "give one of quat_wxyz"),
         ({"R_inertial_sensor": np.ones((40, S, 3, 3))}, "give one of quat_wxyz"),
         (
@@ -437,6 +487,7 @@ def test_wrong_keypoint_arrays_raise_with_file_and_field(tmp_path: Path, new: di
         ({"f_sensor": FORCE / 9.81}, r"imus\.npz: IMU L_UpArm: .* in g; multiply"),
         ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, "infinite; write NaN"),
         ({"f_sensor": None}, "no array 'f_sensor' of shape"),
+        ({"f_sensor": FORCE[:, :, :2]}, r"IMU f_sensor: expected shape \(40, 2, 3\)"),
     ],
 )
 def test_wrong_imu_arrays_raise_with_file_and_field(tmp_path: Path, new: dict[str, object], message: str) -> None:
@@ -457,16 +508,54 @@ def test_quaternions_are_normalised_and_missing_ones_are_nan(tmp_path: Path) -> 
 # --- hostile folders: bytes ----------------------------------------------------------------------
 
 
+def npz_bytes(**members: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return buffer.getvalue()
+
+
+def npy_bytes(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "damaged, or no NPZ archive"),
+        (b"time,Hips_u_px\n0,1\n", "damaged, or no NPZ archive"),
+        (npz_bytes(uv_px=b"hello"), "uv_px: not a NumPy array"),
+        (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
+        (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
+        (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, it has more bytes"),
+        (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: has type <U1, not numbers"),
+        (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: has type object"),
+    ],
+)
+def test_an_archive_without_numbers_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    write(tmp_path)
+    (tmp_path / "keypoints.npz").write_bytes(content)
+    with pytest.raises(FileFormatError, match=message):
+        Recording.load(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("", "line 1: empty; expected a CSV file; its first line names"),
         ("time;Hips_u_px;Hips_v_px\n", "line 1: separated by ';'"),
         ("time,Nouse_u_px,Nouse_v_px\n0,1,2\n", " 'Nouse'. Did you mean 'Nose'"),
         ("time,Hips_u_px\n0,1\n", "line 1: the column 'Hips_v_px' is missing"),
+        ("time,Hips_x,Hips_y\n0,1,2\n", "line 1: column 'Hips_x': expected 'time'"),
+        ("time\n0\n", "line 1: no column ends in _u_px"),
         ("time,Hips_u_px,Hips_u_px\n0,1,2\n", "'Hips_u_px' occurs more than once"),
         ("time,Hips_u_px,Hips_v_px\n0,1,2\n1,2\n", "line 3: 2 cells where the header names 3"),
         ("time,Hips_u_px,Hips_v_px\n0,1,two\n", "line 2: column Hips_v_px: 'two' is not a number"),
         ("time,Hips_u_px,Hips_v_px\n1,1,2\n0,1,2\n", "time does not increase from index 0"),
+        ("time,Hips_u_px,Hips_v_px\n", "times: empty"),
     ],
 )
 def test_a_wrong_csv_file_raises_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:
@@ -518,6 +607,12 @@ def test_a_day_that_is_none_is_refused(folder: Path) -> None:
         Recording.load(folder)
 
 
+def test_updated_labels_take_precedence() -> None:
+    assert LABELS.updated(Session(subject="P08")) == replace(LABELS, subject="P08")
+    assert Session().updated(LABELS) == LABELS
+    assert Session(subject="P08").plain() == {"subject": "P08"}
+
+
 def test_a_label_that_is_not_text_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="session place"):
         Session.of({"place": 3})
@@ -547,6 +642,17 @@ def test_digest_is_that_of_the_saved_and_of_the_streamed_recording(tmp_path: Pat
     assert Recording.load(tmp_path / "saved").digest() == digest
     with RecordingReader.open(tmp_path / "saved") as reader:
         assert reader.digest() == digest
+
+
+def test_labels_and_the_form_of_files_do_not_matter(tmp_path: Path) -> None:
+    recording = demo()
+    labelled = replace(
+        recording, name="other", notes="a", acknowledgement="b", session=Session(subject="c", date="2026-01-31")
+    )
+    labelled.save(tmp_path / "a")
+    arrays = dict(np.load(tmp_path / "a" / "keypoints.npz"))
+    np.savez(tmp_path / "a" / "keypoints.npz", **dict(reversed(arrays.items())))
+    assert Recording.load(tmp_path / "a").digest() == recording.digest()
 
 
 def _later(recording: Recording) -> dict[str, Any]:

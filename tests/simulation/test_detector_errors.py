@@ -15,7 +15,13 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import Covariance, detector_error_table
-from rtof_kin.simulation.detector_errors import DetectorErrors, self_occluded, simulate_detections
+from rtof_kin.simulation.detector_errors import (
+    DetectorErrors,
+    episodes,
+    ornstein_uhlenbeck,
+    self_occluded,
+    simulate_detections,
+)
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 Array = NDArray[np.float64]
@@ -86,6 +92,14 @@ def test_the_mirror_image_of_a_motion_gives_the_mirror_image_of_the_detections()
     assert np.abs(uv - found(NONE, POSES, camera)[0]).max() > 3, "the view matters"
 
 
+def test_parts_of_the_errors_add_up_and_the_seed_determines_them() -> None:
+    both = errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=3)
+    parts = errors_mm(replace(NONE, constant=1.0), seed=3) + errors_mm(replace(NONE, coloured=1.0), seed=3)
+    np.testing.assert_allclose(both, parts, atol=1e-6)
+    np.testing.assert_array_equal(both, errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=3))
+    assert not np.array_equal(both, errors_mm(replace(NONE, constant=1.0, coloured=1.0), seed=4))
+
+
 def dense(covariance: Covariance, index: int | tuple[()] = ()) -> Array:
     """Covariance (66, 66), mm2."""
     factor = covariance.factor[index].reshape(66, -1) * 1e3
@@ -108,6 +122,13 @@ def coloured() -> Array:
     return np.array([errors_mm(replace(NONE, coloured=1.0), seed=seed) for seed in range(32)])
 
 
+@pytest.mark.parametrize("name", ["left_hip", "nose", "right_shoulder"])
+def test_coloured_errors_have_the_size_of_the_table(coloured: Array, name: str) -> None:
+    k = point(name)
+    size = np.sqrt(np.diag(dense(TABLE.coloured, 0)).reshape(33, 2)[k]) * TABLE.kinds.amplitude["gain"][k]
+    np.testing.assert_allclose(np.sqrt((coloured[:, :, k] ** 2).mean(axis=(0, 1))), size, rtol=0.2)
+
+
 def windowed(lag: float) -> Array:
     """Autocovariance (C,) of an unsmoothed unit process of each time constant under the window."""
     steps = np.linspace(-4, 4, 161)
@@ -127,6 +148,14 @@ def test_coloured_errors_have_the_correlation_times_of_the_table(coloured: Array
         expected = (shares[slow] * windowed(lag)[slow]).sum() / (shares[slow] * windowed(0.0)[slow]).sum()
         expected *= np.exp(-(mood_sd**2) * (1 - np.exp(-lag / 0.3)))
         assert measured == pytest.approx(expected, abs=0.1), lag
+
+
+def test_errors_of_shoulders_and_hips_are_correlated_as_in_the_table(coloured: Array) -> None:
+    own = (2 * TABLE.points_of(["shoulder", "hip"])[:, None] + [0, 1]).ravel()
+    C = dense(TABLE.coloured, 0)[np.ix_(own, own)]
+    expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
+    assert np.abs(expected - np.eye(8)).max() > 0.5
+    np.testing.assert_allclose(np.corrcoef(coloured.reshape(-1, 66)[:, own].T), expected, atol=0.2)
 
 
 def test_a_body_in_profile_hides_its_other_side_which_errs_more_and_is_less_visible() -> None:
@@ -159,6 +188,18 @@ def test_left_and_right_are_exchanged_in_profile_only_as_often_as_in_the_table()
     apart = np.linalg.norm(exact - exact[:, TABLE.mirror], axis=-1)[0, legs].mean() * depth
     expected = 100 * (0.06 + np.exp(-max(apart - 60, 0) / 60))
     assert starts / minutes == pytest.approx(expected, rel=0.25)
+
+
+def test_limbs_jump_and_the_person_is_lost_for_some_frames() -> None:
+    exact = found(NONE)[0]
+    jumped = np.mean([np.abs(found(replace(NONE, jumps=1.0), seed=s)[0] - exact) > 1e-6 for s in range(6)], (0, 1, 3))
+    assert 0.01 < jumped[point("left_wrist")] < 0.04
+    assert jumped[TABLE.points_of(["face", "shoulder", "hip"])].max() == 0
+    aside = Camera.looking_at(FRONT.center_world, HIPS + 2.7 * UP, 1250.0)
+    uv, visibility = found(DetectorErrors(), camera=aside)
+    lost = np.isnan(uv).all(axis=(1, 2))
+    assert lost.mean() > 0.5
+    assert np.all(visibility[lost] == 0)
 
 
 def test_the_camera_stands_a_little_differently_from_what_is_said() -> None:
@@ -203,3 +244,14 @@ def test_a_realistic_recording_has_the_keypoints_of_a_detectors_file_and_the_cam
         POSES, SKELETON.joint_offsets, camera=camera, settings=replace(settings, landmarks=("Nose",)), seed=1
     )
     np.testing.assert_array_equal(few.keypoints.uv_px, recording.keypoints.select(["Nose"]).uv_px)
+
+
+def test_processes_and_episodes_have_their_memory_rate_and_duration() -> None:
+    rng = np.random.default_rng(0)
+    x = ornstein_uhlenbeck(rng, 4000, (50,), 20.0)
+    assert x[0].std() == pytest.approx(1, abs=0.25)
+    assert x.std() == pytest.approx(1, rel=0.05)
+    assert (x[20:] * x[:-20]).mean() == pytest.approx(np.exp(-1), abs=0.05)
+    runs = episodes(rng, np.full(600_000, 12.0), 60.0, 0.5, 0.3)
+    assert len(runs) == pytest.approx(12 * 600_000 / 3600, rel=0.1)
+    assert np.median([run.stop - run.start for run in runs]) == pytest.approx(30, abs=2)

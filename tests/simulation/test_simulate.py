@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.cli import main
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -24,8 +25,8 @@ from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation import noise as noises
-from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.noise import ImuNoise, KeypointNoise
+from rtof_kin.simulation.mocap import MocapClip, read_mocap
+from rtof_kin.simulation.noise import ORIENTATION_MEDIAN_DEG, ImuNoise, KeypointNoise
 from rtof_kin.simulation.simulate import (
     LIMB_SENSORS,
     SimulationSettings,
@@ -101,6 +102,26 @@ def test_samples_at_other_instants_are_close(rate_hz: float, start: float, large
     assert np.nanmax(so3.angle_between(bones.R_world_bone, truth)[3:-3]) < np.radians(0.3)
 
 
+def test_perfect_keypoints_are_the_projections_of_everything_in_front_of_the_camera() -> None:
+    recording = simulated(SimulationSettings.perfect())
+    np.testing.assert_array_equal(recording.video.uv_px, CAMERA.project(POSES.p_world_joint))
+    assert np.all(recording.video.confidence == 1)
+    np.testing.assert_array_equal(recording.video.times, POSES.times)
+    near = Camera.looking_at(POSES.p_world_joint[0, 0] + [0, 0, 0.01], [5.0, 0.0, 1.0], 1250.0)
+    behind = near.to_camera(POSES.p_world_joint)[..., 2] < 0
+    assert behind.any()
+    np.testing.assert_array_equal(simulated(SimulationSettings.perfect(), camera=near).video.seen, ~behind)
+
+
+def test_independent_keypoints_outside_the_image_are_unseen() -> None:
+    near = Camera.looking_at([1.8, 0.3, 1.2], [0.0, 0.0, 1.2], 1250.0)
+    uv = near.project(POSES.p_world_joint)
+    outside = ((uv < 0) | (uv > [1920, 1080])).any(axis=-1)
+    assert 0.02 < outside.mean() < 0.5
+    settings = replace(SimulationSettings.independent(), video_lag_frames=(0.0, 0.0))
+    assert not simulated(settings, camera=near).video.seen[outside].any()
+
+
 def test_a_detector_finds_the_landmarks_asked_for() -> None:
     settings = replace(NOISELESS, landmarks=("Nose", "LeftToe", "LeftHand"))
     keypoints = simulated(settings).keypoints
@@ -145,6 +166,14 @@ def test_equal_seeds_give_equal_recordings() -> None:
     assert not np.array_equal(first, everything(other))
 
 
+def test_a_subset_of_the_sensors_has_the_same_errors_as_the_whole_set() -> None:
+    whole = simulated(replace(SimulationSettings.perfect(), sensors=ALL_SENSORS))
+    few = simulated(replace(SimulationSettings.perfect(), sensors=("R_LowLeg", "Pelvis")))
+    assert few.imus.names == ("R_LowLeg", "Pelvis")
+    np.testing.assert_array_equal(whole.imus.select(few.imus.names).f_sensor, few.imus.f_sensor)
+    np.testing.assert_array_equal(whole.imus.select(few.imus.names).R_inertial_sensor, few.imus.R_inertial_sensor)
+
+
 TIMES = np.arange(6000) / 60
 FIXED = replace(KeypointNoise(), parameter_spread=0.0)
 QUIET = replace(FIXED, bias_px=0, drift_px=0, white_px=0, outlier_share=(0.0, 0.0))
@@ -152,6 +181,13 @@ QUIET = replace(FIXED, bias_px=0, drift_px=0, white_px=0, outlier_share=(0.0, 0.
 
 def errors(noise: KeypointNoise, joints: list[str], times: Array = TIMES, seed: int = 0) -> Array:
     return noises.keypoint_errors(np.random.default_rng(seed), times, joints, noise)
+
+
+@pytest.mark.parametrize(("joint", "memory", "size"), [("Hips", 0.5, 5.0), ("LeftHand", 0.3, 6.5)])
+def test_the_drift_has_its_size_and_correlation_time(joint: str, memory: float, size: float) -> None:
+    uv = errors(replace(QUIET, drift_px=5.0), [joint] * 60)
+    assert uv.std() == pytest.approx(size, rel=0.05)
+    assert correlation_of(uv, round(memory * 60)) == pytest.approx(np.exp(-1), abs=0.05)
 
 
 def correlation_of(values: Array, steps: int) -> float:
@@ -168,6 +204,20 @@ def test_bias_is_constant_and_white_noise_is_white() -> None:
     joints = ["Hips", "LeftForeArm", "RightHand", "RightLeg", "LeftFoot"]
     size = errors(replace(QUIET, white_px=1.0), joints).std(axis=(0, 2))
     np.testing.assert_allclose(size, [1.0, 1.3, 1.3, 0.8, 0.8], rtol=0.05)
+
+
+def test_outliers_have_their_share_and_duration() -> None:
+    uv = errors(replace(QUIET, outlier_share=(0.04, 0.04)), ["Hips"] * 60)
+    out = np.linalg.norm(uv, axis=-1) > 0
+    assert out.mean() == pytest.approx(0.04, rel=0.1)
+    displaced = np.linalg.norm(uv[out], axis=-1)
+    assert np.median(displaced) == pytest.approx(80, rel=0.1)
+    lengths = []
+    for j in range(60):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], out[1:-1, j], [0]]).astype(int)))
+        lengths += list(np.diff(edges)[::2] / 60)
+    assert np.quantile(lengths, 0.05) >= 0.2 - 1 / 60
+    assert np.quantile(lengths, 0.95) < 1.1, "two may overlap, rarely"
 
 
 def test_a_person_who_leaves_the_image_is_lost_for_some_time() -> None:
@@ -188,6 +238,42 @@ def test_a_person_who_leaves_the_image_is_lost_for_some_time() -> None:
     assert 2.0 < np.mean(lengths) < 3.5
 
 
+def test_parameters_are_drawn_anew_for_each_recording() -> None:
+    drawn = [KeypointNoise().drawn(np.random.default_rng(s)) for s in range(400)]
+    bias = np.array([noise.bias_px for noise in drawn])
+    assert np.median(bias) == pytest.approx(6.0, rel=0.06)
+    assert np.log(bias).std() == pytest.approx(0.25, rel=0.15)
+    assert KeypointNoise.white(5.0).drawn(np.random.default_rng(0)) == KeypointNoise.white(5.0)
+    assert ImuNoise().drawn(np.random.default_rng(0)) != ImuNoise()
+    assert ImuNoise.perfect().drawn(np.random.default_rng(0)) == ImuNoise.perfect()
+    lags = replace(SimulationSettings.independent(), sensors=())
+    assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
+
+
+SLOW = np.arange(2000) / 10
+FIXED_IMU = replace(ImuNoise(), parameter_spread=0.0)
+
+
+def local_motion(amplitude: float, seed: int = 3) -> Array:
+    return so3.exp(planted.smooth_noise(seed, (len(SLOW), 3), 5, amplitude))
+
+
+def slips(joint: str, axis: Array, amplitude: float = 0.5, seeds: int = 12) -> Array:
+    R = local_motion(amplitude)
+    return np.array(
+        [
+            so3.log(noises.mounting_errors(np.random.default_rng(s), SLOW, joint, axis, R, FIXED_IMU))
+            for s in range(seeds)
+        ]
+    )
+
+
+@pytest.mark.parametrize("joint", ["Head", "LeftArm", "RightForeArm", "LeftLeg", "RightFoot"])
+def test_the_median_orientation_error_is_that_of_real_sensors(joint: str) -> None:
+    error = np.degrees(np.linalg.norm(slips(joint, np.array([0, 1.0, 0])), axis=-1))
+    assert np.median(error) == pytest.approx(ORIENTATION_MEDIAN_DEG[joint], rel=0.2)
+
+
 def test_limb_sensors_err_in_swing_and_twist_as_real_ones_do() -> None:
     poses = planted.moving(SKELETON, 600).poses[::6]
     settings = replace(NOISELESS, imu=ImuNoise(), imu_rate_hz=poses.rate_hz)
@@ -202,6 +288,33 @@ def test_limb_sensors_err_in_swing_and_twist_as_real_ones_do() -> None:
         twist.append(np.degrees(np.abs(np.einsum("tsi,si->ts", so3.log(error), along))))
     assert np.median(swing) == pytest.approx(2.7, rel=0.08)
     assert np.median(twist) == pytest.approx(4.7, rel=0.08)
+
+
+def test_slip_turns_the_sensor_and_keeps_the_acceleration() -> None:
+    imu = replace(FIXED_IMU, misalignment_deg=0, white=0, white_per_acceleration=0, coloured=0, bias=0)
+    settings = replace(NOISELESS, imu=imu, sensors=("R_LowArm",))
+    along = []
+    for seed in range(8):
+        bones = simulated(settings, seed=seed).bone_imus()
+        truth = POSES.R_world_bone[:, SKELETON.index("RightForeArm")]
+        error = so3.log(np.swapaxes(truth, -1, -2) @ bones.R_world_bone)
+        along.append((error[..., 1] ** 2).sum() / (error**2).sum())
+        a_error = bones.a_world[1:-1] - sensor_accelerations(POSES, ("R_LowArm",))
+        assert np.abs(a_error).max() < 1e-8
+    assert np.mean(along) > 0.7, "a forearm lies along y of its link frame"
+
+
+def test_soft_tissue_errors_follow_the_motion_and_are_small_at_rest() -> None:
+    noise = replace(FIXED_IMU, wobble_share=1.0)
+    axis = np.array([0, 0, 1.0])
+
+    def size(amplitude: float) -> float:
+        R = local_motion(amplitude)
+        E = noises.mounting_errors(np.random.default_rng(0), SLOW, "LeftLeg", axis, R, noise)
+        return float(np.linalg.norm(so3.log(E), axis=-1).mean())
+
+    assert size(0.0) < 1e-9
+    assert size(0.02) < 0.3 * size(0.5)
 
 
 def test_the_misalignment_is_two_degrees_per_axis_and_not_in_the_calibration() -> None:
@@ -328,6 +441,23 @@ def test_wrong_input(
         simulated(replace(NOISELESS, **settings), poses)  # type: ignore[arg-type]
 
 
+def test_of_several_cameras_the_one_that_sees_most_films() -> None:
+    settings = SimulationSettings()
+    clip = read_mocap(MOCAP / "02_01_excerpt.bvh", output_rate_hz=60.0)
+    cameras = standard_cameras(clip.poses, 2)
+
+    def seen_by(camera: Camera | list[Camera]) -> Recording:
+        return simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=2)
+
+    alone = [seen_by(camera) for camera in cameras]
+    best = max(alone, key=lambda recording: float(recording.video.seen.mean()))
+    chosen = seen_by(cameras)
+    np.testing.assert_array_equal(chosen.video.uv_px, best.video.uv_px)
+    assert chosen.imus is not None
+    assert best.imus is not None
+    np.testing.assert_array_equal(chosen.imus.f_sensor, best.imus.f_sensor)
+
+
 @pytest.fixture(scope="module")
 def demo() -> Recording:
     return Recording.load(model_path("demo")).between(0.0, 1.5)
@@ -366,3 +496,9 @@ def test_nothing_is_replaced_and_sensors_need_places(tmp_path: Path, demo: Recor
     with pytest.raises(InvalidInputError, match="places"):
         write_raw_files(replace(demo, calibration=None), tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+def test_the_demo_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--demo", "--only", "files", "-o", str(tmp_path / "take"), "--seconds", "1"]) == 0
+    assert "rtof-kin run" in capsys.readouterr().out
+    assert len(list((tmp_path / "take" / "dots").iterdir())) == 8

@@ -12,6 +12,11 @@ def square(number: int) -> int:
     return number * number
 
 
+def whereabouts(_: int) -> tuple[int, str | None]:
+    """Process and its number of threads."""
+    return os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
 def period(seconds: float) -> tuple[float, float]:
     """Begin and end on the clock that all processes share."""
     began = time.monotonic()
@@ -35,3 +40,8 @@ def fail(kind: str) -> object:
     if kind == "raise":
         raise ZeroDivisionError("by nothing")
     return lambda: None  # cannot be sent back
+
+
+def sleep_and_tell(folder: Path) -> None:
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(120)
