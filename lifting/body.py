@@ -16,12 +16,9 @@ _SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
 class Body:
     """Joints of a lifter with their tree and nominal bones."""
 
-    names: tuple[str, ...]
-    """J joint names, root first, parents before children; sides by name, see `side_of`."""
-    parents: tuple[int, ...]
-    """(J,) index of each joint's parent, -1 for the root."""
-    nominal_bones: tuple[float, ...]
-    """(3 G,) mean `bones_of` the training skeletons, m."""
+    names: tuple[str, ...]  #: J joint names, root first, parents before children; sides by name, see `side_of`
+    parents: tuple[int, ...]  #: (J,) index of each joint's parent, -1 for the root
+    nominal_bones: tuple[float, ...]  #: (3 G,) mean `bones_of` the training skeletons, m
     sensors: tuple[str, ...] = ()
     """S joints whose segments may carry a sensor; if none, orientations are neither input nor output."""
 

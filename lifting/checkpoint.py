@@ -27,8 +27,7 @@ from rtof_kin.core.files.folder import new_file
 
 FORMAT: Final = "rtof-kin lifter"
 VERSION: Final = 3
-READABLE: Final = (2, 3)
-"""Versions that are read; files of version 2 have no pose prior."""
+READABLE: Final = (2, 3)  #: Versions that are read; files of version 2 have no pose prior
 ACKNOWLEDGEMENT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
     "funding from NSF EIA-0196217."
@@ -41,20 +40,13 @@ _LARGEST_BYTES = 4 * 2**30
 class LifterDescription:
     """Description of a lifter without its weights."""
 
-    body: Body
-    """Joints, tree, nominal bones and sensors."""
-    network: NetworkConfig
-    """Shape of the network."""
-    rate_hz: float = 60.0
-    """Rate of the training windows, Hz."""
-    recipe: dict[str, Any] = field(default_factory=dict)
-    """Settings of the training, as plain values."""
-    validation: dict[str, Any] = field(default_factory=dict)
-    """Errors on the validation subjects, mm."""
-    data: str = ACKNOWLEDGEMENT
-    """Source of the motion, as its licence asks."""
-    prior: PosePrior | None = None
-    """Pose prior of the same motion; None for the shipped one."""
+    body: Body  #: Joints, tree, nominal bones and sensors
+    network: NetworkConfig  #: Shape of the network
+    rate_hz: float = 60.0  #: Rate of the training windows, Hz
+    recipe: dict[str, Any] = field(default_factory=dict)  #: Settings of the training, as plain values
+    validation: dict[str, Any] = field(default_factory=dict)  #: Errors on the validation subjects, mm
+    data: str = ACKNOWLEDGEMENT  #: Source of the motion, as its licence asks
+    prior: PosePrior | None = None  #: Pose prior of the same motion; None for the shipped one
 
 
 def save_checkpoint(

@@ -21,22 +21,15 @@ from torch import Tensor, nn
 class NetworkConfig:
     """Shape of the network."""
 
-    inputs: int
-    """Features per frame."""
-    constants: int
-    """Features per window."""
-    outputs: int
-    """Values per estimated frame."""
+    inputs: int  #: Features per frame
+    constants: int  #: Features per window
+    outputs: int  #: Values per estimated frame
     filter_widths: tuple[int, ...] = (3, 3, 3)
     """Frames seen by each temporal convolution, odd; their product is the receptive field."""
-    channels: int = 256
-    """Width of every hidden layer."""
-    dropout: float = 0.0
-    """Share of hidden values dropped in training."""
-    causal: bool = False
-    """Whether the last frame of a window is estimated, not the middle one."""
-    model: str = "rays"
-    """One of `lifting.models.MODELS`: the meaning of inputs and outputs."""
+    channels: int = 256  #: Width of every hidden layer
+    dropout: float = 0.0  #: Share of hidden values dropped in training
+    causal: bool = False  #: Whether the last frame of a window is estimated, not the middle one
+    model: str = "rays"  #: One of `lifting.models.MODELS`: the meaning of inputs and outputs
 
 
 class TemporalNetwork(nn.Module):

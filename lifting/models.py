@@ -31,20 +31,15 @@ VIDEOPOSE3D: Final = "videopose3d"
 class Model:
     """A way from windows to estimates."""
 
-    sizes: Callable[[Body], tuple[int, int, int]]
-    """Numbers of inputs, constants and outputs of the network."""
-    network: Callable[[NetworkConfig], TemporalNetwork]
-    """Network with random weights."""
-    encode: Callable[[Body, Windows], Encoded]
-    """Network input of windows."""
+    sizes: Callable[[Body], tuple[int, int, int]]  #: Numbers of inputs, constants and outputs of the network
+    network: Callable[[NetworkConfig], TemporalNetwork]  #: Network with random weights
+    encode: Callable[[Body, Windows], Encoded]  #: Network input of windows
     decode: Callable[[Body, Tensor, Any], Estimate]
     """Estimate from the network's output (B, outputs) and the encoded windows."""
     mirror_features: Callable[[Body, Tensor], Tensor]
     """Features (B, W, inputs) of the mirrored scene, whose constants are the same."""
-    mirror_output: Callable[[Body, Tensor], Tensor]
-    """Output (B, outputs) of the mirrored scene."""
-    senses: bool
-    """Whether it takes sensors and gives orientations."""
+    mirror_output: Callable[[Body, Tensor], Tensor]  #: Output (B, outputs) of the mirrored scene
+    senses: bool  #: Whether it takes sensors and gives orientations
 
     @torch.no_grad()
     def answer(self, body: Body, network: TemporalNetwork, encoded: Encoded, flip: bool) -> Tensor:

@@ -25,32 +25,25 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
-MIN_JOINTS = 6
-"""Fewest different joints seen in a window that can be lifted."""
-CHUNK = 128
-"""Windows lifted at once: fewer cost more calls, more leave the cache."""
+MIN_JOINTS = 6  #: Fewest different joints seen in a window that can be lifted
+CHUNK = 128  #: Windows lifted at once: fewer cost more calls, more leave the cache
 
 
 @dataclass(frozen=True)
 class LiftedPoses:
     """Poses of one person in world with standard deviations."""
 
-    times: Array
-    """(T,) s, those of the keypoints."""
-    p_world_joint: Array
-    """(T, J, 3) m, finite everywhere."""
+    times: Array  #: (T,) s, those of the keypoints
+    p_world_joint: Array  #: (T, J, 3) m, finite everywhere
     seen: Mask
     """(T,) whether the camera saw enough around the frame; other positions are interpolated between
     those that were, and constant at the ends."""
-    names: tuple[str, ...]
-    """J joint names."""
+    names: tuple[str, ...]  #: J joint names
     sigma_m: Array
     """(T, J, 2) standard deviation per axis across the camera's ray and along it, m, of joints relative
     to the root and, in the root's row, of the root. NaN where not seen or not estimated."""
-    R_world_bone: Array
-    """(T, J, 3, 3) orientations of segments; NaN where not seen or not estimated."""
-    sigma_rad: Array
-    """(T, J) their standard deviation per axis, rad; NaN likewise."""
+    R_world_bone: Array  #: (T, J, 3, 3) orientations of segments; NaN where not seen or not estimated
+    sigma_rad: Array  #: (T, J) their standard deviation per axis, rad; NaN likewise
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

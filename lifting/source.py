@@ -18,8 +18,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
-MAX_STEP = 0.15
-"""Longest time between two frames that is interpolated across, s."""
+MAX_STEP = 0.15  #: Longest time between two frames that is interpolated across, s
 VELOCITY_S, KEPT_VELOCITY = 4 / 60, 0.8
 """After the last frame, the mean velocity over this time goes on, s, of which this share is left after each
 frame; chosen on the validation subjects."""
@@ -29,20 +28,14 @@ frame; chosen on the validation subjects."""
 class Source:
     """Rays and axes at the times of the keypoints."""
 
-    times: Array
-    """(T,) s."""
-    rays: NDArray[np.float32]
-    """(T, J, 3) directions in world; zeros where unseen."""
-    seen: Mask
-    """(T, J)."""
+    times: Array  #: (T,) s
+    rays: NDArray[np.float32]  #: (T, J, 3) directions in world; zeros where unseen
+    seen: Mask  #: (T, J)
     axes: NDArray[np.float32]
     """(T, 2, S, 3) x and z axes in world of the segments that may carry sensors; zeros where unknown."""
-    sensed: Mask
-    """(T, S)."""
-    picture: NDArray[np.float32]
-    """(T, J, 2) as in `Picture`; zeros where unseen."""
-    R_camera_world: NDArray[np.float32]
-    """(3, 3)."""
+    sensed: Mask  #: (T, S)
+    picture: NDArray[np.float32]  #: (T, J, 2) as in `Picture`; zeros where unseen
+    R_camera_world: NDArray[np.float32]  #: (3, 3)
 
     @classmethod
     def of(

@@ -186,24 +186,18 @@ def _rotations(x: Array, z: Array) -> Array:
     return R
 
 
-_SAME_S = 1e-6
-"""Largest difference between times of the same frame, s."""
+_SAME_S = 1e-6  #: Largest difference between times of the same frame, s
 
 
 @dataclass(frozen=True)
 class StreamedPose:
     """Pose of one person at one instant; arrays are read-only."""
 
-    time: float
-    """Time of the pose, s."""
-    p_world_joint: Array
-    """(J, 3) m."""
-    sigma_m: Array
-    """(J, 2) see `LiftedPoses.sigma_m`."""
-    R_world_bone: Array
-    """(J, 3, 3) see `LiftedPoses.R_world_bone`."""
-    sigma_rad: Array
-    """(J,) see `LiftedPoses.sigma_rad`."""
+    time: float  #: Time of the pose, s
+    p_world_joint: Array  #: (J, 3) m
+    sigma_m: Array  #: (J, 2) see `LiftedPoses.sigma_m`
+    R_world_bone: Array  #: (J, 3, 3) see `LiftedPoses.R_world_bone`
+    sigma_rad: Array  #: (J,) see `LiftedPoses.sigma_rad`
 
 
 class StreamingLifter:

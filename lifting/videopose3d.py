@@ -25,8 +25,7 @@ from lifting.windows import Encoded, Estimate, Windows
 class EncodedPictures(Encoded):
     """Network input, and the camera's orientation."""
 
-    R_camera_world: Tensor
-    """(B, 3, 3)."""
+    R_camera_world: Tensor  #: (B, 3, 3)
 
 
 class PoseAndRootNetwork(TemporalNetwork):

@@ -24,23 +24,16 @@ from torch.nn.functional import pad
 
 from lifting.body import Body, bone_groups
 
-MIN_FORWARD = 0.1
-"""Cosine to the view axis below which a ray counts as unseen."""
+MIN_FORWARD = 0.1  #: Cosine to the view axis below which a ray counts as unseen
 MIN_SCALE = 1e-4
-MAX_IMAGE = 20.0
-"""Largest coordinate in the scaled image."""
-BONE_GAIN = 15.0
-"""Bones enter as their difference from the nominal ones, m, times this."""
-ANKLE_HEIGHT = 0.08
-"""Height of an ankle over the floor when standing, m."""
+MAX_IMAGE = 20.0  #: Largest coordinate in the scaled image
+BONE_GAIN = 15.0  #: Bones enter as their difference from the nominal ones, m, times this
+ANKLE_HEIGHT = 0.08  #: Height of an ankle over the floor when standing, m
 MIN_SLOPE, MIN_HEIGHT = 0.02, 0.05
 """Least slope of a ray to a standing foot, and least height of the camera over it, m."""
-MIN_HEIGHT_IN_IMAGE = 1e-3
-"""Least height of the camera times scale."""
-LOG_DISTANCE = (-4.0, 3.0)
-"""Smallest and largest logarithm of the distance times scale."""
-LOG_SPREAD = (-7.0, 2.0)
-"""Smallest and largest logarithm of a spread."""
+MIN_HEIGHT_IN_IMAGE = 1e-3  #: Least height of the camera times scale
+LOG_DISTANCE = (-4.0, 3.0)  #: Smallest and largest logarithm of the distance times scale
+LOG_SPREAD = (-7.0, 2.0)  #: Smallest and largest logarithm of a spread
 SIGMA_ALONG, SIGMA_ACROSS, SIGMA_TURN = sqrt(2), sqrt(3), sqrt(4)
 """Standard deviation per axis of errors in 1, 2 and 3 dimensions with spread 1. An error e in n dimensions
 with spread b has a density proportional to ``b^-n exp(-|e| / b)``, for n = 1 Laplace's."""
@@ -50,71 +43,52 @@ with spread b has a density proportional to ``b^-n exp(-|e| / b)``, for n = 1 La
 class Picture:
     """Image of the landmarks, for a lifter in the camera's frame."""
 
-    xy: Tensor
-    """(B, 2, W, J) right of and below the image's middle, in halves of the image's width."""
-    R_camera_world: Tensor
-    """(B, 3, 3)."""
+    xy: Tensor  #: (B, 2, W, J) right of and below the image's middle, in halves of the image's width
+    R_camera_world: Tensor  #: (B, 3, 3)
 
 
 @dataclass(frozen=True)
 class Windows:
     """Observations in B windows of W frames."""
 
-    rays_world: Tensor
-    """(B, 3, W, J) directions in world from the optical centre, of any finite length."""
-    seen: Tensor
-    """(B, W, J) bool; unseen rays are not read, but are finite."""
-    bones: Tensor
-    """(B, 3 G) m, see `Body.bones_of`; NaN in a row where they are unknown."""
-    camera_height: Tensor
-    """(B,) height of the optical centre over the floor, m; NaN where unknown."""
-    axes_world: Tensor
-    """(B, 3, W, 2, S) x and z axes in world of the segments that may carry sensors."""
-    sensed: Tensor
-    """(B, W, S) bool; axes that are not sensed are not read, but are finite."""
-    estimated: int
-    """Index of the frame that is estimated."""
-    picture: Picture | None = None
-    """The image; None where it is not used."""
+    rays_world: Tensor  #: (B, 3, W, J) directions in world from the optical centre, of any finite length
+    seen: Tensor  #: (B, W, J) bool; unseen rays are not read, but are finite
+    bones: Tensor  #: (B, 3 G) m, see `Body.bones_of`; NaN in a row where they are unknown
+    camera_height: Tensor  #: (B,) height of the optical centre over the floor, m; NaN where unknown
+    axes_world: Tensor  #: (B, 3, W, 2, S) x and z axes in world of the segments that may carry sensors
+    sensed: Tensor  #: (B, W, S) bool; axes that are not sensed are not read, but are finite
+    estimated: int  #: Index of the frame that is estimated
+    picture: Picture | None = None  #: The image; None where it is not used
 
 
 @dataclass(frozen=True)
 class Encoded:
     """Network input."""
 
-    features: Tensor
-    """(B, W, inputs)."""
-    constants: Tensor
-    """(B, constants)."""
+    features: Tensor  #: (B, W, inputs)
+    constants: Tensor  #: (B, constants)
 
 
 @dataclass(frozen=True)
 class EncodedWindows(Encoded):
     """Network input, and the frames of its output."""
 
-    R_view_world: Tensor
-    """(B, 3, 3)."""
-    R_ray_world: Tensor
-    """(B, 3, 3)."""
-    scale: Tensor
-    """(B,) RMS distance of the landmarks from each frame's mean, in units of focal length."""
+    R_view_world: Tensor  #: (B, 3, 3)
+    R_ray_world: Tensor  #: (B, 3, 3)
+    scale: Tensor  #: (B,) RMS distance of the landmarks from each frame's mean, in units of focal length
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Estimates of the estimated frames of B windows, in world axes."""
 
-    pose: Tensor
-    """(B, 3, J) root-relative joints, m."""
-    root: Tensor
-    """(B, 3) root from the optical centre, m."""
+    pose: Tensor  #: (B, 3, J) root-relative joints, m
+    root: Tensor  #: (B, 3) root from the optical centre, m
     log_spread: Tensor
     """(B, 2, J) logarithm of the spread of the error across the ray and along it, m, of root-relative
     joints and, in the root's column, of the root relative to its distance. NaN where unknown."""
-    axes: Tensor | None
-    """(B, 3, 2, J) x and z axes of every segment, orthonormal; None for a body without sensors."""
-    log_turn: Tensor | None
-    """(B, J) logarithm of the spread of their error, rad."""
+    axes: Tensor | None  #: (B, 3, 2, J) x and z axes of every segment, orthonormal; None for a body without sensors
+    log_turn: Tensor | None  #: (B, J) logarithm of the spread of their error, rad
 
     def sigma_m(self) -> Tensor:
         """Return (B, J, 2) standard deviations per axis across and along the ray, m."""

@@ -72,10 +72,8 @@ def find_split(folder: Path) -> Path:
 
 
 Array = NDArray[np.float32]
-RATE_HZ: Final = 60.0
-"""Usual rate of a corpus, Hz."""
-RIGID_M: Final = 1e-3
-"""Largest distance between recorded joints and those of rigid segments that is ignored, m."""
+RATE_HZ: Final = 60.0  #: Usual rate of a corpus, Hz
+RIGID_M: Final = 1e-3  #: Largest distance between recorded joints and those of rigid segments that is ignored, m
 _SAME_BODY_M = 1e-3
 _LARGEST_BYTES = 64 * 2**30
 
@@ -84,28 +82,17 @@ _LARGEST_BYTES = 64 * 2**30
 class Corpus:
     """Concatenated clips."""
 
-    names: tuple[str, ...]
-    """J joint names, root first."""
-    parents: tuple[int, ...]
-    """(J,) index of each joint's parent, -1 for the root."""
-    p_world_root: Array
-    """(N, 3) m, z up, floor at z = 0; N frames of all clips."""
-    R_world_bone: Array
-    """(N, J, 3, 3)."""
-    joint_offsets: Array
-    """(C, J, 3) m, of each clip."""
-    start: NDArray[np.int64]
-    """(C + 1,) first frame of each clip, and N."""
-    subjects: tuple[str, ...]
-    """C subjects."""
-    split: tuple[str, ...]
-    """C of `SPLITS`."""
-    rate_hz: float = RATE_HZ
-    """Frames per second."""
-    beyond_rigid: Array | None = None
-    """(N, J, 3) recorded joints minus forward kinematics, m; None for zero."""
-    acknowledgement: str = ""
-    """Source of the motion as its licence asks; copied into every lifter."""
+    names: tuple[str, ...]  #: J joint names, root first
+    parents: tuple[int, ...]  #: (J,) index of each joint's parent, -1 for the root
+    p_world_root: Array  #: (N, 3) m, z up, floor at z = 0; N frames of all clips
+    R_world_bone: Array  #: (N, J, 3, 3)
+    joint_offsets: Array  #: (C, J, 3) m, of each clip
+    start: NDArray[np.int64]  #: (C + 1,) first frame of each clip, and N
+    subjects: tuple[str, ...]  #: C subjects
+    split: tuple[str, ...]  #: C of `SPLITS`
+    rate_hz: float = RATE_HZ  #: Frames per second
+    beyond_rigid: Array | None = None  #: (N, J, 3) recorded joints minus forward kinematics, m; None for zero
+    acknowledgement: str = ""  #: Source of the motion as its licence asks; copied into every lifter
 
     def __post_init__(self) -> None:
         N, J, C = len(self.p_world_root), len(self.names), len(self.subjects)
@@ -332,14 +319,12 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
 Progress = Callable[[int, int, str], None]
 """Called with the takes done, their number, and the last one's name, followed by ``skipped:`` and the
 reason if it was left out."""
-Take = tuple[str, str]
-"""Subject and name."""
+Take = tuple[str, str]  #: Subject and name
 TOTAL_CAPTURE_VALIDATION: Final = (("S1", "walking3"), ("S2", "freestyle2"), ("S3", "acting2"))
 """Training takes of Total Capture used for validation: one of each subject, each of another kind."""
 HUMAN36M_VALIDATION: Final = tuple(("S8", action) for action in ("Discussion", "Sitting", "Walking"))
 """Those of Human3.6M; an action stands for all of its numbers, such as 'Walking 1'."""
-MIN_SECONDS: Final = 0.5
-"""Least duration of a piece between two gaps, s."""
+MIN_SECONDS: Final = 0.5  #: Least duration of a piece between two gaps, s
 _ON_WEIGHTS = " Weights trained on it come under the same terms and stay with its licensee."
 
 

@@ -44,16 +44,11 @@ from rtof_kin.core.errors import UnknownNameError
 class Moving:
     """B moving bodies."""
 
-    bones: Tensor
-    """(B, 3, W, J-1) bone vectors in world, m."""
-    root: Tensor
-    """(B, 3, W) path of the root from the estimated frame, m."""
-    offsets: Tensor
-    """(B, J, 3) joint offsets, m."""
-    axes: Tensor
-    """(B, 3, 2, J) x and z axes of all segments in the estimated frame."""
-    carried: Tensor
-    """(B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times."""
+    bones: Tensor  #: (B, 3, W, J-1) bone vectors in world, m
+    root: Tensor  #: (B, 3, W) path of the root from the estimated frame, m
+    offsets: Tensor  #: (B, J, 3) joint offsets, m
+    axes: Tensor  #: (B, 3, 2, J) x and z axes of all segments in the estimated frame
+    carried: Tensor  #: (B, 3, W, 2, S) those of the segments that may carry sensors, at the sensors' times
 
     def turned(self, R: Tensor) -> Moving:
         """Return the bodies turned by rotations (B, 3, 3)."""
@@ -118,44 +113,26 @@ Offsets = NDArray[np.float32]
 class AugmentConfig:
     """What is drawn for each window."""
 
-    distance: tuple[float, float] = (1.8, 7.5)
-    """Horizontal distance from the camera to the root, m."""
-    camera_height: tuple[float, float] = (0.5, 3.2)
-    """Height of the camera over the floor, m."""
-    off_axis: float = 0.75
-    """Share of the image's width and height in which the root may be."""
-    roll: float = 0.05
-    """Standard deviation of the camera's roll, rad."""
-    mirror: float = 0.5
-    """Share of windows with left and right swapped."""
-    tilt: float = 1 / 3
-    """Share of windows with a tilted body."""
-    tilt_angle: float = 0.7
-    """Largest tilt about a random horizontal axis, rad."""
-    warp: tuple[float, float] = (0.7, 1.4)
-    """Range of the speed relative to the recording."""
-    overall_scale: float = 0.07
-    """Relative standard deviation of the body's size."""
-    bone_scale: float = 0.05
-    """Relative standard deviation of each bone's length, left and right together."""
+    distance: tuple[float, float] = (1.8, 7.5)  #: Horizontal distance from the camera to the root, m
+    camera_height: tuple[float, float] = (0.5, 3.2)  #: Height of the camera over the floor, m
+    off_axis: float = 0.75  #: Share of the image's width and height in which the root may be
+    roll: float = 0.05  #: Standard deviation of the camera's roll, rad
+    mirror: float = 0.5  #: Share of windows with left and right swapped
+    tilt: float = 1 / 3  #: Share of windows with a tilted body
+    tilt_angle: float = 0.7  #: Largest tilt about a random horizontal axis, rad
+    warp: tuple[float, float] = (0.7, 1.4)  #: Range of the speed relative to the recording
+    overall_scale: float = 0.07  #: Relative standard deviation of the body's size
+    bone_scale: float = 0.05  #: Relative standard deviation of each bone's length, left and right together
     own_skeleton: float = 0.5
     """Share of windows on the skeleton of their motion; the rest have another one of the bank."""
-    recombine: float = 0.2
-    """Share of windows whose upper body comes from another motion."""
-    rigs: RigConfig = field(default_factory=RigConfig)
-    """How other rigs and people differ in the trunk."""
-    hide_bones: float = 0.2
-    """Share of windows without known bones."""
-    bone_error: float = 0.003
-    """Standard deviation per axis of the known bones, m."""
-    hide_height: float = 0.6
-    """Share of windows without a known camera height."""
-    height_error: float = 0.02
-    """Standard deviation of the known camera height, m."""
-    noise: NoiseConfig = field(default_factory=NoiseConfig)
-    """Errors of the detector."""
-    sensors: SensorConfig = field(default_factory=SensorConfig)
-    """Sensors worn, and their errors."""
+    recombine: float = 0.2  #: Share of windows whose upper body comes from another motion
+    rigs: RigConfig = field(default_factory=RigConfig)  #: How other rigs and people differ in the trunk
+    hide_bones: float = 0.2  #: Share of windows without known bones
+    bone_error: float = 0.003  #: Standard deviation per axis of the known bones, m
+    hide_height: float = 0.6  #: Share of windows without a known camera height
+    height_error: float = 0.02  #: Standard deviation of the known camera height, m
+    noise: NoiseConfig = field(default_factory=NoiseConfig)  #: Errors of the detector
+    sensors: SensorConfig = field(default_factory=SensorConfig)  #: Sensors worn, and their errors
 
 
 def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
@@ -195,14 +172,10 @@ def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentCo
 class Batch:
     """Observed windows, and the ground truth of their estimated frames."""
 
-    windows: Windows
-    """Observations before encoding."""
-    pose: Tensor
-    """(B, 3, J) root-relative joints in world axes, m."""
-    root: Tensor
-    """(B, 3) root from the optical centre in world axes, m."""
-    axes: Tensor
-    """(B, 3, 2, J) x and z axes of the segments in world."""
+    windows: Windows  #: Observations before encoding
+    pose: Tensor  #: (B, 3, J) root-relative joints in world axes, m
+    root: Tensor  #: (B, 3) root from the optical centre in world axes, m
+    axes: Tensor  #: (B, 3, 2, J) x and z axes of the segments in world
 
 
 class MotionBank:

@@ -29,12 +29,9 @@ T = TypeVar("T")
 class Workers:
     """The processes of a training, seen from one of them."""
 
-    device: torch.device
-    """Device of this process."""
-    rank: int = 0
-    """Number of this process."""
-    count: int = 1
-    """Number of processes."""
+    device: torch.device  #: Device of this process
+    rank: int = 0  #: Number of this process
+    count: int = 1  #: Number of processes
 
     @property
     def first(self) -> bool:

@@ -77,10 +77,8 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     return torch.stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1], dim=1)
 
 
-NEAREST_M: Final = 0.2
-"""Least depth of a joint, m."""
-MEMORY_S: Final = (float("inf"), 0.5, 0.08)
-"""Time constants of the parts of an error, s."""
+NEAREST_M: Final = 0.2  #: Least depth of a joint, m
+MEMORY_S: Final = (float("inf"), 0.5, 0.08)  #: Time constants of the parts of an error, s
 TRUNK_HEIGHT: Final = {
     "Hips": 0.1,
     "Spine": 0.3,
@@ -92,15 +90,12 @@ TRUNK_HEIGHT: Final = {
     "Shoulder": 1.0,
 }
 """Height of a joint of the trunk between hips (0) and shoulders (1) that `rig_places` are relative to."""
-LEG_M: Final = 0.8
-"""Length of a leg, m."""
+LEG_M: Final = 0.8  #: Length of a leg, m
 MOOD: Final = {"Arm": 0.35, "ForeArm": 0.6, "Hand": 0.7, "Leg": 0.4, "Foot": 0.4}
 """Standard deviation of the logarithm of a joint's amplitude, shared in a limb; of others `USUAL_MOOD`."""
 USUAL_MOOD: Final = 0.3
-RUN_S: Final = 0.033
-"""Median duration of exchanges and jumps, s."""
-RUN_SPREAD: Final = 0.85
-"""Standard deviation of its logarithm."""
+RUN_S: Final = 0.033  #: Median duration of exchanges and jumps, s
+RUN_SPREAD: Final = 0.85  #: Standard deviation of its logarithm
 EXCHANGES_PER_MINUTE: Final = {"legs": 100.0, "arms": 170.0, "shoulders": 22.0, "hips": 9.0}
 """Most frequent exchanges of left and right, in profile with both sides at one place."""
 JUMPS_PER_MINUTE: Final = {"arms": 26.0, "legs": 5.0}
@@ -157,12 +152,9 @@ class JointErrors:
 class View:
     """Bodies relative to a camera, in the estimated frames of B windows."""
 
-    joints: Tensor
-    """(B, 3, J) from the optical centre in the camera's frame, m."""
-    axes: Tensor
-    """(B, 3, 2, J) x and z axes of the segments there."""
-    offsets: Tensor
-    """(B, J, 3) joint offsets of the bodies, m."""
+    joints: Tensor  #: (B, 3, J) from the optical centre in the camera's frame, m
+    axes: Tensor  #: (B, 3, 2, J) x and z axes of the segments there
+    offsets: Tensor  #: (B, J, 3) joint offsets of the bodies, m
 
     def __getitem__(self, rows: slice) -> View:
         return View(self.joints[rows], self.axes[rows], self.offsets[rows])

@@ -23,12 +23,9 @@ from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.training.noise import SENSED_TRUNK, VALIDATION_NOISE, SensorConfig
 from lifting.windows import Estimate, rotations
 
-ROOT_WEIGHT: Final = 0.3
-"""Weight of the root's distance relative to the mean joint distance."""
-TURN_WEIGHT: Final = 0.1
-"""Weight of an angle of 1 rad relative to a mean joint distance of 1 m."""
-SPREAD_WEIGHT: Final = 0.02
-"""Weight of a negative log-likelihood relative to a mean joint distance of 1 m."""
+ROOT_WEIGHT: Final = 0.3  #: Weight of the root's distance relative to the mean joint distance
+TURN_WEIGHT: Final = 0.1  #: Weight of an angle of 1 rad relative to a mean joint distance of 1 m
+SPREAD_WEIGHT: Final = 0.02  #: Weight of a negative log-likelihood relative to a mean joint distance of 1 m
 
 
 def lifting_loss(estimate: Estimate, batch: Batch) -> Tensor:

@@ -43,8 +43,7 @@ from rtof_kin.body.kinematics import LUMBAR_PITCH
 from rtof_kin.body.pose_prior import CLAVICLES, SPINE
 
 FOCAL_PX: Final = 1250.0
-HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX
-"""Half the image, in units of focal length."""
+HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX  #: Half the image, in units of focal length
 RATE_HZ: Final = 60.0
 
 
@@ -233,8 +232,7 @@ def _landmark_set(body: Body, config: NoiseConfig, draw: Draw) -> Tensor:
     return (~poor | (rand[:, :-1] > 0.2)) & (~sparse | limbs)
 
 
-TRUNK: Final = ("Hips", *SPINE)
-"""Segments from the pelvis to the upper trunk."""
+TRUNK: Final = ("Hips", *SPINE)  #: Segments from the pelvis to the upper trunk
 PLACES: Final = {
     "Hips": (0.02, 0.0, 0.045),
     "Spine": (0.0, 0.0, 0.025),
@@ -255,20 +253,14 @@ joint lies in the direction that defines the pelvis."""
 class RigConfig:
     """Sizes of the differences."""
 
-    share: float = 0.6
-    """Share of windows that are varied."""
-    spread: float = 0.7
-    """Standard deviation of the logarithm of the share of the bend that a joint of the spine takes."""
+    share: float = 0.6  #: Share of windows that are varied
+    spread: float = 0.7  #: Standard deviation of the logarithm of the share of the bend that a joint of the spine takes
     spine: tuple[float, float, float] = (0.03, 0.07, 0.02)
     """Standard deviation of the constant turn of each segment of the spine about x, y and z, rad."""
-    pelvis: tuple[float, float, float] = (0.02, 0.1, 0.02)
-    """The same of the pelvis."""
-    clavicle: tuple[float, float, float] = (0.12, 0.04, 0.10)
-    """The same of the clavicles, left and right mirrored."""
-    mobility: tuple[float, float] = (0.3, 1.2)
-    """Range of the factor on the rotation of the clavicles."""
-    places: float = 1.0
-    """Factor on `PLACES`."""
+    pelvis: tuple[float, float, float] = (0.02, 0.1, 0.02)  #: The same of the pelvis
+    clavicle: tuple[float, float, float] = (0.12, 0.04, 0.10)  #: The same of the clavicles, left and right mirrored
+    mobility: tuple[float, float] = (0.3, 1.2)  #: Range of the factor on the rotation of the clavicles
+    places: float = 1.0  #: Factor on `PLACES`
 
 
 def trunk_segments(body: Body) -> list[int]:
@@ -331,32 +323,20 @@ def log(R: Tensor) -> Tensor:
 class SensorConfig:
     """Sets of sensors and sizes of errors; those of orientations are scaled by an amplitude per window."""
 
-    none: float = 0.30
-    """Share of windows without any sensor."""
-    limbs: float = 0.30
-    """Share of windows with sensors on upper arms, forearms, thighs and shanks."""
-    limbs_and_trunk: float = 0.12
-    """Share with these and sensors on pelvis and upper trunk."""
-    ends: float = 0.08
-    """Share with sensors on forearms and shanks."""
-    every: float = 0.06
-    """Share with all sensors; the rest have random subsets."""
-    amplitude: tuple[float, float] = (0.2, 1.8)
-    """Range of the factor on misalignment and roll."""
-    misalignment: float = 0.037
-    """Standard deviation about each axis of the segment, rad."""
-    roll: float = 0.11
-    """Standard deviation of the additional error about the bone, rad."""
-    heading: float = 0.03
-    """Standard deviation of a sensor's heading, rad."""
-    lag: tuple[float, float] = (-1.0, 4.0)
-    """Range of the lead of the sensors over the camera, frames."""
-    missing: float = 0.03
-    """Share of (frame, sensor) lost, in runs."""
+    none: float = 0.30  #: Share of windows without any sensor
+    limbs: float = 0.30  #: Share of windows with sensors on upper arms, forearms, thighs and shanks
+    limbs_and_trunk: float = 0.12  #: Share with these and sensors on pelvis and upper trunk
+    ends: float = 0.08  #: Share with sensors on forearms and shanks
+    every: float = 0.06  #: Share with all sensors; the rest have random subsets
+    amplitude: tuple[float, float] = (0.2, 1.8)  #: Range of the factor on misalignment and roll
+    misalignment: float = 0.037  #: Standard deviation about each axis of the segment, rad
+    roll: float = 0.11  #: Standard deviation of the additional error about the bone, rad
+    heading: float = 0.03  #: Standard deviation of a sensor's heading, rad
+    lag: tuple[float, float] = (-1.0, 4.0)  #: Range of the lead of the sensors over the camera, frames
+    missing: float = 0.03  #: Share of (frame, sensor) lost, in runs
 
 
-SENSED_TRUNK = ("Hips", "Spine3")
-"""Segments of the pelvis and upper trunk sensors."""
+SENSED_TRUNK = ("Hips", "Spine3")  #: Segments of the pelvis and upper trunk sensors
 
 
 def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:

@@ -38,21 +38,16 @@ from rtof_kin.core.resources import lifter_path, model_path
 
 USUAL_RADIUS: Final = 0.4
 """First estimate of the RMS distance of a person's joints from their mean across the line of sight, m."""
-EPOCHS: Final = 60
-"""Epochs of the published training; here an epoch is this share of the training."""
-DECAY: Final = 0.95
-"""Factor on the published learning rate from epoch to epoch."""
-MOMENTUM: Final = (0.1, 0.001)
-"""Published momentum of batch normalisation in the first epoch and after the last."""
-NEAREST: Final = 0.2
-"""Least depth for the weight of a root, m."""
+EPOCHS: Final = 60  #: Epochs of the published training; here an epoch is this share of the training
+DECAY: Final = 0.95  #: Factor on the published learning rate from epoch to epoch
+MOMENTUM: Final = (0.1, 0.001)  #: Published momentum of batch normalisation in the first epoch and after the last
+NEAREST: Final = 0.2  #: Least depth for the weight of a root, m
 
 
 class Recipe:
     """AdamW with warm-up and cosine, clipped gradients, a running mean of the weights."""
 
-    regularised: ClassVar[bool] = True
-    """Whether gradients are clipped and weights averaged."""
+    regularised: ClassVar[bool] = True  #: Whether gradients are clipped and weights averaged
 
     def __init__(self, config: TrainConfig, network: TemporalNetwork, body: Body):
         """Set the first weights and make the optimiser."""

@@ -22,8 +22,7 @@ from rtof_kin.data.poses import PoseSequence
 PriorChoice = Literal["auto", "even", "own", "none"]
 """Pose prior of a training. even: for several rigs; own: the trunk of the one rig; auto: one of the
 two, by the skeletons; none: no prior, the shipped one is used."""
-LEAST_FRAMES: Final = 30
-"""Frames of the shortest clip that a prior is fitted to."""
+LEAST_FRAMES: Final = 30  #: Frames of the shortest clip that a prior is fitted to
 PRIORS: Final = get_args(PriorChoice)
 
 
@@ -89,54 +88,31 @@ class TrainConfig:
     Defaults are those of the package's own model; see `for_model`.
     """
 
-    windows: int | None = None
-    """Number of windows to learn from."""
-    minutes: float | None = None
-    """Duration without reading the corpus, min; a resumed training continues counting."""
-    model: str = RAYS
-    """One of `models.MODELS`."""
-    filter_widths: tuple[int, ...] = (3, 3, 3)
-    """Frames seen by each convolution; their product is the receptive field."""
-    channels: int = 256
-    """Width of the network."""
-    dropout: float = 0.0
-    """Share of hidden values dropped."""
-    batch: int = 512
-    """Windows per step, of all processes together."""
-    learning_rate: float = 2e-3
-    """Largest step of the optimiser."""
-    weight_decay: float = 0.01
-    """AdamW's, per unit of learning rate; 'rays' only, like the next three."""
-    warm_up: float = 0.02
-    """Share of the training in which the rate rises from 0, before it falls as a cosine."""
-    ema: float = 0.998
-    """Factor per step of the running mean of the weights."""
-    clip: float = 1.0
-    """Largest norm of the gradient."""
-    validations: int = 20
-    """Number of validations, evenly over the training."""
-    validation_windows: int = 4096
-    """Validation windows per kind of 2D."""
-    report_every: int = 20
-    """Steps between progress reports."""
-    seed: int = 0
-    """Seed of the first weights and of all random draws."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Device of the computation."""
-    threads: int = 2
-    """1: draw windows and learn in turn. 2: draw the next windows meanwhile, with the same result."""
-    bfloat16: bool = True
-    """Whether matrices are multiplied in bfloat16."""
+    windows: int | None = None  #: Number of windows to learn from
+    minutes: float | None = None  #: Duration without reading the corpus, min; a resumed training continues counting
+    model: str = RAYS  #: One of `models.MODELS`
+    filter_widths: tuple[int, ...] = (3, 3, 3)  #: Frames seen by each convolution; their product is the receptive field
+    channels: int = 256  #: Width of the network
+    dropout: float = 0.0  #: Share of hidden values dropped
+    batch: int = 512  #: Windows per step, of all processes together
+    learning_rate: float = 2e-3  #: Largest step of the optimiser
+    weight_decay: float = 0.01  #: AdamW's, per unit of learning rate; 'rays' only, like the next three
+    warm_up: float = 0.02  #: Share of the training in which the rate rises from 0, before it falls as a cosine
+    ema: float = 0.998  #: Factor per step of the running mean of the weights
+    clip: float = 1.0  #: Largest norm of the gradient
+    validations: int = 20  #: Number of validations, evenly over the training
+    validation_windows: int = 4096  #: Validation windows per kind of 2D
+    report_every: int = 20  #: Steps between progress reports
+    seed: int = 0  #: Seed of the first weights and of all random draws
+    device: Literal["cpu", "cuda"] = "cpu"  #: Device of the computation
+    threads: int = 2  #: 1: draw windows and learn in turn. 2: draw the next windows meanwhile, with the same result.
+    bfloat16: bool = True  #: Whether matrices are multiplied in bfloat16
     causal: bool = False
     """Whether the last frame of a window is estimated, not the middle one: no delay, some mm worse."""
-    skeletons: int = 12
-    """Number of the corpus's bodies that every motion is transferred to, besides the package's."""
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
-    """Distributions of the windows."""
-    prior: PriorChoice = "auto"
-    """Pose prior that is learned beside, see `prior_of_corpus`."""
-    deterministic: bool = False
-    """Whether results are bit-identical on a GPU too; requires `windows` and no `minutes`."""
+    skeletons: int = 12  #: Number of the corpus's bodies that every motion is transferred to, besides the package's
+    augment: AugmentConfig = field(default_factory=AugmentConfig)  #: Distributions of the windows
+    prior: PriorChoice = "auto"  #: Pose prior that is learned beside, see `prior_of_corpus`
+    deterministic: bool = False  #: Whether results are bit-identical on a GPU too; requires `windows` and no `minutes`
     same_windows: bool = False
     """Whether several processes share the windows that one would draw (same loss curve up to rounding,
     slower drawing) instead of drawing their own."""

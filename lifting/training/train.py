@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Row = Mapping[str, Any]
-"""A report with a validation, see `train.Progress`."""
+Row = Mapping[str, Any]  #: A report with a validation, see `train.Progress`
 COLORS: Final = ("#0072b2", "#c0392b", "#56b4e9", "#e69f00", "#2e8b57", "#8e44ad", "#8c8c8c")
 PANELS: Final = {"rr_mm": "joint error relative to the root [mm]", "abs_mm": "absolute joint error [mm]"}
 

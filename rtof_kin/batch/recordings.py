@@ -23,8 +23,7 @@ from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.core.files.text import read_text
 
-INDEX: Final = "recording.toml"
-"""File that makes a folder a recording."""
+INDEX: Final = "recording.toml"  #: File that makes a folder a recording
 _OWN_COLUMNS: Final = ("recording", "name")
 
 
@@ -32,19 +31,16 @@ _OWN_COLUMNS: Final = ("recording", "name")
 class Entry:
     """One recording of a batch."""
 
-    name: str
-    """Its folder in the output: a relative path with slashes."""
+    name: str  #: Its folder in the output: a relative path with slashes
     folder: Path
-    options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """More options by command."""
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  #: More options by command
 
 
 @dataclass(frozen=True)
 class Shard:
     """One of several parts of a batch, which are disjoint whatever recordings each of them finds."""
 
-    number: int = 1
-    """From 1."""
+    number: int = 1  #: From 1
     count: int = 1
 
     def __post_init__(self) -> None:
@@ -149,8 +145,7 @@ def _check_names(source: Path, entries: Iterable[Entry]) -> None:
         before = entry.name
 
 
-RECORDING, OUT = "{recording}", "{out}"
-"""Stand for the folder of the recording and for that of its output."""
+RECORDING, OUT = "{recording}", "{out}"  #: Stand for the folder of the recording and for that of its output
 MOTION, PAGE = "motion", "report.html"
 _FILES: Final = {
     "inspect": (RECORDING,),
@@ -168,8 +163,7 @@ class Step:
     """One command of a chain."""
 
     command: str
-    arguments: tuple[str, ...]
-    """All of them, with `RECORDING` and `OUT`."""
+    arguments: tuple[str, ...]  #: All of them, with `RECORDING` and `OUT`
 
     @property
     def output(self) -> str | None:

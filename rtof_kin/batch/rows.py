@@ -25,10 +25,8 @@ from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.document import Badge, Document, Section, Table
 from rtof_kin.reporting.html import render
 
-ERROR: Final = "error"
-"""Verdict of a recording on which a command failed."""
-DONE: Final = "done"
-"""Verdict of one without a motion, whose commands all succeeded."""
+ERROR: Final = "error"  #: Verdict of a recording on which a command failed
+DONE: Final = "done"  #: Verdict of one without a motion, whose commands all succeeded
 WORST_FIRST: Final = (
     ERROR,
     *(g.value for g in (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.NOT_CHECKED, Grade.PASS)),
@@ -40,30 +38,20 @@ WORST_FIRST: Final = (
 class Row:
     """What is known of one recording after its commands."""
 
-    recording: str
-    """Its name, which is its folder in the output."""
-    verdict: str = ERROR
-    """`ERROR`, a `Grade`'s value of the reconstruction, or `DONE`."""
-    sentence: str = ""
-    """Why."""
-    step: str = ""
-    """Command that failed."""
+    recording: str  #: Its name, which is its folder in the output
+    verdict: str = ERROR  #: `ERROR`, a `Grade`'s value of the reconstruction, or `DONE`
+    sentence: str = ""  #: Why
+    step: str = ""  #: Command that failed
     error: str = ""
     frames: int = 0
-    duration_s: float = 0.0
-    """Of the motion."""
-    seconds: float = 0.0
-    """Sum over its commands, of the runs that gave the present results."""
-    cpu_seconds: float = 0.0
-    """The same of the processor."""
+    duration_s: float = 0.0  #: Of the motion
+    seconds: float = 0.0  #: Sum over its commands, of the runs that gave the present results
+    cpu_seconds: float = 0.0  #: The same of the processor
     peak_memory_mb: float = 0.0
     output_mb: float = 0.0
-    version: str = ""
-    """Of this package."""
-    report: str = ""
-    """Page of the report in its folder; '' if there is none."""
-    log: str = ""
-    """What the last command printed, in its folder."""
+    version: str = ""  #: Of this package
+    report: str = ""  #: Page of the report in its folder; '' if there is none
+    log: str = ""  #: What the last command printed, in its folder
 
     @classmethod
     def of_plain(cls, plain: Any) -> Self | None:
@@ -90,8 +78,7 @@ class Row:
         return place, self.recording
 
 
-Numbered = tuple[int, Row]
-"""Number of the run, and its row."""
+Numbered = tuple[int, Row]  #: Number of the run, and its row
 
 
 class RowFile:
@@ -140,8 +127,7 @@ def _line(run: int, row: Row) -> str:
 ROWS_PER_PAGE: Final = 10_000
 INDEX_PAGE: Final = "index.html"
 _COLUMNS: Final = ("Verdict", "Recording", "Why", "Motion", "Work", "Output")
-_GRADES: Final = {ERROR: "fail", DONE: "pass"}
-"""Colours of verdicts that are no grades."""
+_GRADES: Final = {ERROR: "fail", DONE: "pass"}  #: Colours of verdicts that are no grades
 
 
 def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None:

@@ -37,8 +37,7 @@ from rtof_kin.core.jobs.engine import Engine
 from rtof_kin.core.jobs.results import Progress
 from rtof_kin.reporting.document import Table, write_csv
 
-BOOKS: Final = ".batch"
-"""Folder of the bookkeeping in the output."""
+BOOKS: Final = ".batch"  #: Folder of the bookkeeping in the output
 
 
 @dataclass(frozen=True)
@@ -47,12 +46,9 @@ class Place:
 
     out: Path
     shard: Shard
-    run: int
-    """Number of this run; later runs have larger ones."""
-    generation: int
-    """Number of times that everything was to be done again."""
-    token: str
-    """Content of the folder's mark."""
+    run: int  #: Number of this run; later runs have larger ones
+    generation: int  #: Number of times that everything was to be done again
+    token: str  #: Content of the folder's mark
 
     @property
     def rows_file(self) -> Path:
@@ -139,14 +135,11 @@ TABLE: Final = "batch.csv"
 class Batch:
     """What is to be done."""
 
-    source: Path
-    """Folder or manifest of the recordings."""
-    entries: Sequence[Entry]
-    """All of them, of all shards."""
+    source: Path  #: Folder or manifest of the recordings
+    entries: Sequence[Entry]  #: All of them, of all shards
     chain: tuple[Step, ...]
     out: Path
-    version: str
-    """Of the package; results of another one are made again."""
+    version: str  #: Of the package; results of another one are made again
     shard: Shard = field(default_factory=Shard)
 
 
@@ -221,10 +214,8 @@ def _tasks(
 class Tables:
     """The table and the index, which are written now and then and at the end."""
 
-    PAUSE: Final = 10.0
-    """[s] between two writings."""
-    SHARE: Final = 0.05
-    """Share of the time that writing may take at most, so that long tables are written less often."""
+    PAUSE: Final = 10.0  #: [s] between two writings
+    SHARE: Final = 0.05  #: Share of the time that writing may take at most, so that long tables are written less often
 
     def __init__(self, out: Path, title: str, names: frozenset[str], place: Place):
         """Take the folder of the batch, the names of its source and of all its recordings, and its books."""
@@ -245,8 +236,7 @@ class Tables:
         self.due = time.monotonic() + max(self.PAUSE, took / self.SHARE)
 
 
-Check = Callable[[list[str]], object]
-"""Raises an error of the package for a command line that is wrong."""
+Check = Callable[[list[str]], object]  #: Raises an error of the package for a command line that is wrong
 
 
 def check_chain(batch: Batch, check: Check) -> None:

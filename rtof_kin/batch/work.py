@@ -29,10 +29,8 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak
 
 STATE: Final = "batch.json"
-DISK_FULL: Final = "disk_full"
-"""Entry of the plain row of a recording that failed because of it, as all others would."""
-Command = Callable[[list[str]], int]
-"""Runs a command line, raises its `RtofError`, and returns the exit code."""
+DISK_FULL: Final = "disk_full"  #: Entry of the plain row of a recording that failed because of it, as all others would
+Command = Callable[[list[str]], int]  #: Runs a command line, raises its `RtofError`, and returns the exit code
 _MB: Final = 1e6
 
 
@@ -42,13 +40,10 @@ class Task:
 
     name: str
     recording: Path
-    out: Path
-    """Folder of the batch."""
-    token: str
-    """Content of the batch's mark, which proves that the worker sees the same folder."""
+    out: Path  #: Folder of the batch
+    token: str  #: Content of the batch's mark, which proves that the worker sees the same folder
     steps: tuple[Step, ...]
-    marks: tuple[str, ...]
-    """Fingerprint of each step with those before it: version, options, files that these name."""
+    marks: tuple[str, ...]  #: Fingerprint of each step with those before it: version, options, files that these name
     version: str
 
 

@@ -19,15 +19,11 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.hdf5 import short_floats
 from rtof_kin.data.confidence import valid_covariances
 
-SPACING: Final = 16
-"""[frames] Largest distance of nodes."""
-TOLERANCE: Final = 0.05
-"""Largest relative error of a standard deviation between nodes."""
+SPACING: Final = 16  #: [frames] Largest distance of nodes
+TOLERANCE: Final = 0.05  #: Largest relative error of a standard deviation between nodes
 ROWS: Final = (0, 1, 2, 0, 0, 1)
-COLUMNS: Final = (0, 1, 2, 1, 2, 2)
-"""xx, yy, zz, xy, xz, yz."""
-_BITS: Final = 8
-"""Of the mantissa of an entry: a relative error of 0.2 %."""
+COLUMNS: Final = (0, 1, 2, 1, 2, 2)  #: xx, yy, zz, xy, xz, yz
+_BITS: Final = 8  #: Of the mantissa of an entry: a relative error of 0.2 %
 _WIDER: Final = 1 + 2.0**-7
 """Factor of variances with which a matrix that rounding made indefinite becomes definite again."""
 

@@ -39,10 +39,8 @@ _log = logging.getLogger(__name__)
 class Metrics(Mapping[str, float]):
     """Pooled metrics by name as a mapping, and metrics per joint and over time."""
 
-    pooled: dict[str, float]
-    """Mean over frames and joints by metric; NaN without data."""
-    per_joint: dict[str, dict[str, float]] = field(repr=False)
-    """Mean over frames by joint and metric."""
+    pooled: dict[str, float]  #: Mean over frames and joints by metric; NaN without data
+    per_joint: dict[str, dict[str, float]] = field(repr=False)  #: Mean over frames by joint and metric
     over_time: dict[str, Array] = field(repr=False)
     """'mpjpe_mm', 'mpjpe_rr_mm': (T,) mean over joints; 'joint_mm' (absolute), 'joint_flexion_deg' (knees and
     elbows): (T, J). NaN in frames that are not scored."""

@@ -51,16 +51,13 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 
 MOTION: Final = "motion.h5"
-EARLIER: Final = "motion.npz"
-"""File of versions before HDF5."""
+EARLIER: Final = "motion.npz"  #: File of versions before HDF5
 SCHEMA_VERSION: Final = 2
-_OF_RUN: Final = "motion"
-"""Folder of the motion in the output of `run`."""
+_OF_RUN: Final = "motion"  #: Folder of the motion in the output of `run`
 MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observed")
 """Fields of `PoseSequence` in the file."""
 STORED: Final = ("p_world_joint", "rotvec_world_bone")
-_WHOLE: Final = ("p_world_joint", "R_world_bone")
-"""Poses in a file of version 1."""
+_WHOLE: Final = ("p_world_joint", "R_world_bone")  #: Poses in a file of version 1
 COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
 _COVARIANCE: Final = "one row for each of covariance_frames; xx, yy, zz, xy, xz, yz"
 ABOUT: Final = {
@@ -83,8 +80,7 @@ ABOUT: Final = {
     "turn_covariance": {"unit": "rad^2", "frame": "of confidence_pairs", "shape": f"(K, P, 6): {_COVARIANCE}"},
 }
 """Attributes of the arrays."""
-_Q_BITS: Final = 24
-"""[bits] after the point: errors of up to 0.03 um and 2e-6 deg."""
+_Q_BITS: Final = 24  #: [bits] after the point: errors of up to 0.03 um and 2e-6 deg
 _SAME: Final = 1e-5
 """Largest difference of positions, m, and entries of rotations that are the forward kinematics of q."""
 

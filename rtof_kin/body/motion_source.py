@@ -12,21 +12,17 @@ from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 
-BLOCK: Final = 3600
-"""Frames of a block: a minute at 60 Hz."""
+BLOCK: Final = 3600  #: Frames of a block: a minute at 60 Hz
 
 
 @dataclass(frozen=True)
 class Block:
     """Consecutive frames of a motion."""
 
-    motion: Motion
-    """The frames, with a margin on either side as far as the motion goes."""
+    motion: Motion  #: The frames, with a margin on either side as far as the motion goes
     start: int
-    stop: int
-    """Frames [start, stop) of the source, without the margin."""
-    before: int
-    """Number of frames of the margin before `start`."""
+    stop: int  #: Frames [start, stop) of the source, without the margin
+    before: int  #: Number of frames of the margin before `start`
 
     @property
     def frames(self) -> slice:

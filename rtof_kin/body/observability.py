@@ -26,12 +26,9 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 
-NOTHING, DIRECTION, WHOLE = 0, 1, 2
-"""Observed part of a segment's orientation."""
-_APART = 0.01
-"""Least distance of points from each other, or from the bone, that determines an orientation, m."""
-_ALONG = 0.9
-"""Least cosine between an axis and the bone for a rotation about the bone."""
+NOTHING, DIRECTION, WHOLE = 0, 1, 2  #: Observed part of a segment's orientation
+_APART = 0.01  #: Least distance of points from each other, or from the bone, that determines an orientation, m
+_ALONG = 0.9  #: Least cosine between an axis and the bone for a rotation about the bone
 _FIXED, _MOVES = 1e-9, 1e-3
 """An angle within the first was fixed by the model if another one of the joint exceeds the second, rad."""
 
@@ -44,21 +41,15 @@ class ObservationMasks:
     """
 
     skeleton: SkeletonModel
-    valid: Mask
-    """(T, J) as in `PoseSequence`, like the next three."""
+    valid: Mask  #: (T, J) as in `PoseSequence`, like the next three
     provenance: NDArray[np.uint8]
     orientation_observed: Mask
     direction_observed: Mask
-    posed: Mask
-    """(T, J) whether the orientation of the segment is known."""
-    known: Mask
-    """(T,) whether the configuration is known."""
-    largest: Array
-    """(D,) largest absolute value of each degree of freedom in the whole motion, rad."""
-    has_provenance: bool
-    """Whether any joint of the whole motion has a provenance."""
-    has_orientations: bool
-    """Whether any orientation of the whole motion was observed."""
+    posed: Mask  #: (T, J) whether the orientation of the segment is known
+    known: Mask  #: (T,) whether the configuration is known
+    largest: Array  #: (D,) largest absolute value of each degree of freedom in the whole motion, rad
+    has_provenance: bool  #: Whether any joint of the whole motion has a provenance
+    has_orientations: bool  #: Whether any orientation of the whole motion was observed
 
     @classmethod
     def of(cls, motion: Motion | Self) -> ObservationMasks:
@@ -128,8 +119,7 @@ class ObservationMasks:
 
 
 _MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observed")
-_ROWS: Final = (*_MASKS, "posed", "known")
-"""Fields with a row per frame."""
+_ROWS: Final = (*_MASKS, "posed", "known")  #: Fields with a row per frame
 
 
 def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int8]:

@@ -32,22 +32,18 @@ from rtof_kin.data.poses import PoseSequence
 SPINE: Final = ("Spine", "Spine1", "Spine2", "Spine3")
 CLAVICLES: Final = ("LeftShoulder", "RightShoulder")
 HIPS: Final = ("LeftUpLeg", "RightUpLeg")
-JOINTS: Final = (*SPINE, *CLAVICLES, *HIPS)
-"""Joints of a posture."""
+JOINTS: Final = (*SPINE, *CLAVICLES, *HIPS)  #: Joints of a posture
 _LEVEL, _UPRIGHT, _STILL = np.radians(25.0), np.radians(20.0), 0.5
 """Largest angles: arms to the horizontal, thighs and trunk to the vertical, rad; angular speed, rad/s."""
-_SHORTEST: Final = 0.2
-"""Shortest T-pose, s."""
+_SHORTEST: Final = 0.2  #: Shortest T-pose, s
 
 
 @dataclass(frozen=True)
 class NeutralPosture:
     """Rotations of some joints in the T-pose."""
 
-    joints: tuple[str, ...]
-    """K joints."""
-    quat_wxyz: Array
-    """(K, 4) rotation of each relative to its parent."""
+    joints: tuple[str, ...]  #: K joints
+    quat_wxyz: Array  #: (K, 4) rotation of each relative to its parent
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", checked_names("joints of the posture", self.joints))
@@ -99,16 +95,11 @@ def posture_from_t_pose(poses: PoseSequence, parents: Sequence[int]) -> NeutralP
 class PosePrior:
     """Gaussian of the rotation vectors of all joints about their mean rotations."""
 
-    joints: tuple[str, ...]
-    """J joint names, root first."""
-    mean_quat_wxyz: Array
-    """(J - 1, 4) mean rotation of each joint except the root relative to its parent."""
-    covariance: Array
-    """(3 (J - 1), 3 (J - 1)) of log(mean^-1 rotation), rad^2."""
-    sigma_jerk: Array
-    """(J,) standard deviation of the rotational jerk of joints (root: in world), rad/s^3."""
-    sigma_root_jerk: float
-    """Standard deviation of the jerk of the root position, m/s^3."""
+    joints: tuple[str, ...]  #: J joint names, root first
+    mean_quat_wxyz: Array  #: (J - 1, 4) mean rotation of each joint except the root relative to its parent
+    covariance: Array  #: (3 (J - 1), 3 (J - 1)) of log(mean^-1 rotation), rad^2
+    sigma_jerk: Array  #: (J,) standard deviation of the rotational jerk of joints (root: in world), rad/s^3
+    sigma_root_jerk: float  #: Standard deviation of the jerk of the root position, m/s^3
     covariance_about_posture: Array | None = None
     """The same for a person whose neutral posture is known, about the mean that `about` gives; None where
     only the whole covariance is known."""

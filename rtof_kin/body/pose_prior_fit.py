@@ -23,10 +23,8 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
 CUTOFF_HZ, LEAST_JERK = 10.0, 200.0
-LEAST_SUBJECTS: Final = 3
-"""Fewest persons of known posture from whom the spread about the own posture is estimated."""
-SHRINK_S: Final = 60.0
-"""Duration of motion that a known prior counts for, s."""
+LEAST_SUBJECTS: Final = 3  #: Fewest persons of known posture from whom the spread about the own posture is estimated
+SHRINK_S: Final = 60.0  #: Duration of motion that a known prior counts for, s
 UNEVEN = np.radians([2.0, 3.0, 2.0])
 """Standard deviation of a joint of the spine about its share of the bend, about x, y, z, rad."""
 RHYTHM = np.diag([0.25, 0.0, 0.15])
@@ -35,14 +33,10 @@ that is lowered by 90 degrees lowers it by 20 (scapulohumeral rhythm)."""
 LOWERED = np.radians(4.0)
 """Mean of the clavicles below their T-pose, with arms that mostly hang, rad: between rigs whose clavicles
 follow the arms and rigs whose clavicles do not move."""
-CLAVICLE = np.radians([6.0, 5.0, 6.0])
-"""Standard deviation of a clavicle about what the arm tells, rad."""
-LEAST = np.radians(0.3)
-"""Smallest standard deviation of any combination of joints, rad."""
-TRUNK: Final = (*SPINE, "Neck")
-"""Joints whose distances along the trunk tell rigs apart."""
-SAME_SHARE: Final = 0.03
-"""Largest difference of such a distance within a rig, as a share of the trunk's length."""
+CLAVICLE = np.radians([6.0, 5.0, 6.0])  #: Standard deviation of a clavicle about what the arm tells, rad
+LEAST = np.radians(0.3)  #: Smallest standard deviation of any combination of joints, rad
+TRUNK: Final = (*SPINE, "Neck")  #: Joints whose distances along the trunk tell rigs apart
+SAME_SHARE: Final = 0.03  #: Largest difference of such a distance within a rig, as a share of the trunk's length
 _MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
@@ -51,10 +45,8 @@ class PersonMotion:
     """Motion of a person."""
 
     subject: str
-    R_world_bone: Array
-    """(T, J, 3, 3)."""
-    p_world_root: Array
-    """(T, 3) m."""
+    R_world_bone: Array  #: (T, J, 3, 3)
+    p_world_root: Array  #: (T, 3) m
     rate_hz: float
 
 

@@ -34,12 +34,9 @@ from rtof_kin.data.poses import PoseSequence
 class ConfigurationReport:
     """Singular postures and limit violations of configurations, which are never clipped."""
 
-    singular: Mask
-    """(T, J) True if a ball joint is within 5 degrees of a singular posture."""
-    limit_excess: Array
-    """(T, D) excess of each revolute beyond its limits, rad; 0 inside."""
-    dof_names: tuple[str, ...]
-    """Names of the D revolutes."""
+    singular: Mask  #: (T, J) True if a ball joint is within 5 degrees of a singular posture
+    limit_excess: Array  #: (T, D) excess of each revolute beyond its limits, rad; 0 inside
+    dof_names: tuple[str, ...]  #: Names of the D revolutes
 
     @property
     def violations(self) -> dict[str, float]:
@@ -56,14 +53,10 @@ class Motion:
     """Motion of a skeleton: configurations and their forward kinematics."""
 
     skeleton: SkeletonModel
-    q: Array
-    """(T, nq), continuous over time."""
-    poses: PoseSequence
-    """Forward kinematics of q, with validity and provenance."""
-    report: ConfigurationReport
-    """Singular postures and limit violations."""
-    confidence: Confidence | None = None
-    """Covariances, if estimated."""
+    q: Array  #: (T, nq), continuous over time
+    poses: PoseSequence  #: Forward kinematics of q, with validity and provenance
+    report: ConfigurationReport  #: Singular postures and limit violations
+    confidence: Confidence | None = None  #: Covariances, if estimated
 
     def __post_init__(self) -> None:
         known, poses = self.confidence, self.poses

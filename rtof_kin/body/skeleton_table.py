@@ -25,14 +25,11 @@ from rtof_kin.core.files.text import load_toml
 class SegmentMass:
     """De Leva's values of a segment, (male, female)."""
 
-    mass: tuple[float, float]
-    """Fraction of body mass."""
-    center: tuple[float, float]
-    """Centre of mass from the first end, fraction of length."""
+    mass: tuple[float, float]  #: Fraction of body mass
+    center: tuple[float, float]  #: Centre of mass from the first end, fraction of length
     radii: tuple[tuple[float, float, float], tuple[float, float, float]]
     """Radii of gyration about the sagittal, transverse, longitudinal axis, fraction of length."""
-    from_far_end: bool = False
-    """True if de Leva's first end is the far end of the link (head and trunk)."""
+    from_far_end: bool = False  #: True if de Leva's first end is the far end of the link (head and trunk)
 
 
 SEGMENTS = {
@@ -88,12 +85,9 @@ def inertia(segment: str, mass_kg: float, end: Array, sex: str | None) -> tuple[
 class DofNames:
     """Names of a degree of freedom."""
 
-    urdf: str
-    """Name of the revolute joint in the URDF."""
-    clinical: str
-    """Clinical name; a leading '-' means the opposite sign of the URDF's."""
-    opensim: str
-    """OpenSim coordinate, with the same sign convention; may be empty."""
+    urdf: str  #: Name of the revolute joint in the URDF
+    clinical: str  #: Clinical name; a leading '-' means the opposite sign of the URDF's
+    opensim: str  #: OpenSim coordinate, with the same sign convention; may be empty
 
 
 @dataclass(frozen=True)
@@ -101,21 +95,14 @@ class Joint:
     """A joint and the segment distal to it."""
 
     name: str
-    parent: str | None
-    """None for the root."""
-    offset: Array
-    """(3,) position in the parent's link frame, m."""
-    axes: str
-    """Order of the three revolutes, e.g. 'yxz'; empty for the root."""
-    limits: Array
-    """(3, 2) radians, in the order of `axes`; (0, 2) for the root."""
+    parent: str | None  #: None for the root
+    offset: Array  #: (3,) position in the parent's link frame, m
+    axes: str  #: Order of the three revolutes, e.g. 'yxz'; empty for the root.
+    limits: Array  #: (3, 2) radians, in the order of `axes`; (0, 2) for the root
     dofs: tuple[DofNames, ...]
-    mass_shares: tuple[tuple[str, float], ...]
-    """(de Leva segment, share of it) carried by this link."""
-    end: Array
-    """(3,) far end of the segment in its link frame, m."""
-    radius: float
-    """Half thickness of the visual, m."""
+    mass_shares: tuple[tuple[str, float], ...]  #: (de Leva segment, share of it) carried by this link
+    end: Array  #: (3,) far end of the segment in its link frame, m
+    radius: float  #: Half thickness of the visual, m
 
 
 @dataclass(frozen=True)
@@ -124,8 +111,7 @@ class Landmark:
 
     name: str
     joint: str
-    offset: Array
-    """(3,) in the link frame of the segment, m."""
+    offset: Array  #: (3,) in the link frame of the segment, m
 
 
 @dataclass(frozen=True)
@@ -133,21 +119,14 @@ class SkeletonTable:
     """A skeleton as immutable data."""
 
     name: str
-    mass_kg: float
-    """Body mass, kg."""
-    sex: str | None
-    """Column of de Leva: 'male', 'female' or None for the mean."""
-    joints: tuple[Joint, ...]
-    """Parents before children; the root is first."""
+    mass_kg: float  #: Body mass, kg
+    sex: str | None  #: Column of de Leva: 'male', 'female' or None for the mean
+    joints: tuple[Joint, ...]  #: Parents before children; the root is first
     landmarks: tuple[Landmark, ...]
-    sensors: tuple[Landmark, ...]
-    """Usual sensors: name, segment, lever arm."""
-    n_pose: dict[str, float]
-    """Angles of the N-pose relative to the T-pose by URDF joint, rad."""
-    posture: NeutralPosture | None = None
-    """The person's own T-pose, where it is known."""
-    model_prior: PosePrior | None = None
-    """Pose prior of the model in use; None for the shipped one."""
+    sensors: tuple[Landmark, ...]  #: Usual sensors: name, segment, lever arm
+    n_pose: dict[str, float]  #: Angles of the N-pose relative to the T-pose by URDF joint, rad
+    posture: NeutralPosture | None = None  #: The person's own T-pose, where it is known
+    model_prior: PosePrior | None = None  #: Pose prior of the model in use; None for the shipped one
 
     @property
     def names(self) -> tuple[str, ...]:

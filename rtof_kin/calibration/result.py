@@ -82,20 +82,13 @@ class Verdict(Enum):
 class Quantity:
     """An estimated quantity."""
 
-    kind: str
-    """Name in `calibration.unknowns`."""
-    item: str
-    """A segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'."""
-    value: Array
-    """(w,) in SI units or px; zero without an error."""
-    sigma: Array
-    """(w,) standard deviations."""
-    sigma_prior: Array
-    """(w,) standard deviations of the prior."""
-    known: float
-    """Largest relative reduction of the prior's variance, without allowance for autocorrelated errors."""
-    doubt: str = ""
-    """Reason why the value may be wrong regardless of its standard deviation; empty for none."""
+    kind: str  #: Name in `calibration.unknowns`
+    item: str  #: A segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'
+    value: Array  #: (w,) in SI units or px; zero without an error
+    sigma: Array  #: (w,) standard deviations
+    sigma_prior: Array  #: (w,) standard deviations of the prior
+    known: float  #: Largest relative reduction of the prior's variance, without allowance for autocorrelated errors
+    doubt: str = ""  #: Reason why the value may be wrong regardless of its standard deviation; empty for none
 
     def __post_init__(self) -> None:
         if self.kind not in _UNITS:
@@ -136,8 +129,7 @@ class SelfCalibration:
 
     quantities: tuple[Quantity, ...]
     detector: tuple[Detector, ...] = ()
-    middle: float = 0.0
-    """[s] Time stamp of the constants of drifting quantities."""
+    middle: float = 0.0  #: [s] Time stamp of the constants of drifting quantities
     converged: bool = True
 
     def __getitem__(self, kind_item: tuple[str, str]) -> Quantity:

@@ -103,14 +103,17 @@ def _constant(text: str, _: Any) -> str:
 
 
 def descriptions(settings: type) -> dict[str, str]:
-    """Return the docstring of each field of a class, in one line that begins with a small letter."""
-    (node,) = ast.parse(textwrap.dedent(inspect.getsource(settings))).body
+    """Return the docstring or ``#:`` comment of each field of a class, in one line that begins with a small letter."""
+    source = textwrap.dedent(inspect.getsource(settings))
+    (node,) = ast.parse(source).body
     assert isinstance(node, ast.ClassDef)
     found = {}
-    for field, text in zip(node.body, node.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            assert isinstance(text.value, ast.Constant)
-            line = " ".join(str(text.value.value).replace("`", "").split()).removesuffix(".")
+    for field, after in zip(node.body, [*node.body[1:], None], strict=True):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            text = source.splitlines()[field.lineno - 1].partition("  #: ")[2]
+            if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                text = str(after.value.value)
+            line = " ".join(text.replace("`", "").split()).removesuffix(".")
             found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
     return found
 

@@ -32,17 +32,12 @@ class MotionAnalysis:
     ranges: tuple[RangeOfMotion, ...]
     gait: GaitAnalysis
     """Has no strides if none were detected; `GaitAnalysis.is_gait` says whether they are those of walking."""
-    travel: Travel
-    """Way and turning of the pelvis."""
+    travel: Travel  #: Way and turning of the pelvis
     curves: tuple[CycleCurves, ...]
-    repetitions: RepetitionAnalysis | None
-    """None if not requested."""
-    torques: JointTorques | None
-    """None without a body mass."""
-    ground_reaction: GroundReaction | None
-    """None without a body mass."""
-    paths: BodyPaths
-    """Of pelvis and feet, and what was observed of the motion."""
+    repetitions: RepetitionAnalysis | None  #: None if not requested
+    torques: JointTorques | None  #: None without a body mass
+    ground_reaction: GroundReaction | None  #: None without a body mass
+    paths: BodyPaths  #: Of pelvis and feet, and what was observed of the motion
 
     @property
     def notes(self) -> dict[str, tuple[str, ...]]:

@@ -30,25 +30,19 @@ from rtof_kin.clinical.comparison_samples import in_time
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 
-ALL: Final = "all"
-"""Stands for every angle, or every class of movement."""
-_FIXED: Final = np.radians(0.05)
-"""Range of a reference over a take below which its model holds it fixed."""
+ALL: Final = "all"  #: Stands for every angle, or every class of movement
+_FIXED: Final = np.radians(0.05)  #: Range of a reference over a take below which its model holds it fixed
 
 
 @dataclass(frozen=True)
 class AngleDifferences:
     """Differences of one angle in one take."""
 
-    angle: str
-    """Clinical name with its side."""
-    movement: str
-    """Class of the movement."""
+    angle: str  #: Clinical name with its side
+    movement: str  #: Class of the movement
     take: str
-    difference: Array
-    """(n,) rad, estimate - reference, n > 0."""
-    sigma: Array | None = None
-    """(n,) rad, the estimate's own standard deviation; None without bands."""
+    difference: Array  #: (n,) rad, estimate - reference, n > 0
+    sigma: Array | None = None  #: (n,) rad, the estimate's own standard deviation; None without bands
 
     @property
     def joint_angle(self) -> str:

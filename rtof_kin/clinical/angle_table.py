@@ -53,16 +53,11 @@ def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
 class AngleRow:
     """One clinical angle."""
 
-    name: str
-    """Name in files, e.g. 'right_knee_flexion'."""
-    positive: str
-    """The movement that is positive."""
-    sign: int
-    """Sign relative to the rotation about its axis, in the (mirrored, if left) ISB frames."""
-    range: tuple[float, float]
-    """[rad] interval into which whole turns are wrapped."""
-    opensim: str
-    """OpenSim coordinate, a leading '-' for the opposite sign; '' if there is none."""
+    name: str  #: Name in files, e.g. 'right_knee_flexion'.
+    positive: str  #: The movement that is positive
+    sign: int  #: Sign relative to the rotation about its axis, in the (mirrored, if left) ISB frames
+    range: tuple[float, float]  #: [rad] interval into which whole turns are wrapped
+    opensim: str  #: OpenSim coordinate, a leading '-' for the opposite sign; '' if there is none
     about_vertical: bool = False
     """Whether it is a heading, the angle of a segment about the vertical of world: no range of motion."""
 
@@ -76,26 +71,16 @@ class AngleRow:
 class JointCoordinateSystem:
     """Three angles of the rotation of a child segment in its parent's frame."""
 
-    name: str
-    """E.g. 'right_hip'."""
-    side: str
-    """'right', 'left' or ''."""
-    parent: str
-    """Joint of the skeleton that carries the parent segment, or `WORLD`."""
-    child: str
-    """Joint of the skeleton that carries the child segment."""
-    sequence: str
-    """Intrinsic axes in the ISB frames, e.g. 'zxy'."""
-    hinge: bool
-    """Whether the first angle is taken between the long axes if the parent's axial rotation is unobserved."""
-    singular: str
-    """Postures in which only the sum of the first and the third angle is defined."""
-    source: str
-    """Publication that recommends it."""
-    angles: tuple[AngleRow, AngleRow, AngleRow]
-    """In the order of the sequence."""
-    urdf: tuple[str, ...]
-    """Revolutes of the URDF between the two segments; () against the world."""
+    name: str  #: E.g. 'right_hip'.
+    side: str  #: 'right', 'left' or ''
+    parent: str  #: Joint of the skeleton that carries the parent segment, or `WORLD`
+    child: str  #: Joint of the skeleton that carries the child segment
+    sequence: str  #: Intrinsic axes in the ISB frames, e.g. 'zxy'.
+    hinge: bool  #: Whether the first angle is taken between the long axes if the parent's axial rotation is unobserved
+    singular: str  #: Postures in which only the sum of the first and the third angle is defined
+    source: str  #: Publication that recommends it
+    angles: tuple[AngleRow, AngleRow, AngleRow]  #: In the order of the sequence
+    urdf: tuple[str, ...]  #: Revolutes of the URDF between the two segments; () against the world
 
 
 @dataclass(frozen=True)

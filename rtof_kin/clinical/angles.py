@@ -63,17 +63,13 @@ _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIREC
 class ClinicalAngles:
     """Joint angles over time by clinical name."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    values: Array
-    """(T, A) radians; NaN where unobserved. Continuous between gaps."""
+    times: Array  #: (T,) seconds, strictly increasing
+    values: Array  #: (T, A) radians; NaN where unobserved. Continuous between gaps.
     provenance: Sources
     """(T, A) `Provenance` of each value: the weaker of its two segments, at least IMU for a segment whose
     orientation was observed. PRIOR where the pose is known but this angle is unobserved."""
-    singular: Mask
-    """(T, A) whether only the sum of this and another angle is defined near this posture."""
-    rows: tuple[AngleRow, ...]
-    """A rows of the table: name, sign, range, OpenSim coordinate."""
+    singular: Mask  #: (T, A) whether only the sum of this and another angle is defined near this posture
+    rows: tuple[AngleRow, ...]  #: A rows of the table: name, sign, range, OpenSim coordinate
     notes: tuple[str, ...] = ()
     sigma: Array | None = None
     """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
@@ -327,10 +323,8 @@ def _of_own_model(found: OpenSimTable, skeleton: SkeletonModel) -> ClinicalAngle
     return ClinicalAngles(found.times, values, angles.provenance, angles.singular, angles.rows)
 
 
-_SHORTEST: Final = 0.5
-"""Shortest time of standing still that counts, s."""
-_OWN_ZERO: Final = ("rotation", "shoulder", "elbow", "wrist")
-"""Parts of names of angles that standing does not define."""
+_SHORTEST: Final = 0.5  #: Shortest time of standing still that counts, s
+_OWN_ZERO: Final = ("rotation", "shoulder", "elbow", "wrist")  #: Parts of names of angles that standing does not define
 
 
 def relative_to_standing(angles: ClinicalAngles, paths: BodyPaths) -> ClinicalAngles:

@@ -37,26 +37,19 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import WORLD, Confidence
 
-UNKNOWN: Final = -1
-"""Neither foot is known to bear all load."""
-MASS_SIGMA: Final = 0.1
-"""Standard deviation of the mass of a segment, relative to it, with body mass known."""
+UNKNOWN: Final = -1  #: Neither foot is known to bear all load
+MASS_SIGMA: Final = 0.1  #: Standard deviation of the mass of a segment, relative to it, with body mass known
 
 
 @dataclass(frozen=True)
 class FrameDynamics:
     """Inverse dynamics of one frame."""
 
-    tau: Array
-    """(nv,) N m, with the foot's wrench if one foot bears all."""
-    root_wrench: Array
-    """(6,) from outside: force, N, and moment about the root, N m, world axes."""
-    left: Array
-    """(6,) the part of it that no foot bears."""
-    wrench: Array
-    """(6,) as `root_wrench`, the moment about the reference."""
-    reference: Array
-    """(3,) m, world."""
+    tau: Array  #: (nv,) N m, with the foot's wrench if one foot bears all
+    root_wrench: Array  #: (6,) from outside: force, N, and moment about the root, N m, world axes
+    left: Array  #: (6,) the part of it that no foot bears
+    wrench: Array  #: (6,) as `root_wrench`, the moment about the reference
+    reference: Array  #: (3,) m, world
 
 
 @dataclass(frozen=True)
@@ -65,14 +58,10 @@ class FrameDerivatives:
     (6,) about the reference; columns: as the rows of `PoseErrors.factors`.
     """
 
-    value: Array
-    """(nv, nv) by an error."""
-    velocity: Array
-    """(nv, nv) by its first derivative."""
-    acceleration: Array
-    """(nv, nv) by its second derivative."""
-    masses: Array
-    """(nv, G) by relative changes of the masses of `BodyDynamics.segments`, body mass unchanged."""
+    value: Array  #: (nv, nv) by an error
+    velocity: Array  #: (nv, nv) by its first derivative
+    acceleration: Array  #: (nv, nv) by its second derivative
+    masses: Array  #: (nv, G) by relative changes of the masses of `BodyDynamics.segments`, body mass unchanged
 
 
 class BodyDynamics:
@@ -236,10 +225,8 @@ def _segment_shares(skeleton: SkeletonModel) -> tuple[tuple[str, ...], Array]:
 class ErrorSpectrum:
     """How fast errors change."""
 
-    share: float
-    """s, of the variance that is not constant."""
-    seconds: float
-    """l, standard deviation of the Gaussian autocorrelation, s."""
+    share: float  #: s, of the variance that is not constant
+    seconds: float  #: l, standard deviation of the Gaussian autocorrelation, s
 
 
 SPECTRA: Final = {
@@ -257,10 +244,8 @@ UNOBSERVED: Final = 0.35
 """[rad] standard deviation of a joint without a covariance: the segment is kept in line with its parent."""
 _SINGULAR: Final = 0.09
 """Smallest singular value of the axes of three revolutes, a posture within 5 degrees of a singular one."""
-_IMPULSE: Final = 2.0
-"""[s] on either side of an impulse in which the filter's response is computed."""
-_CLOSEST: Final = 0.999
-"""Largest correlation of the turns of a segment and its parent."""
+_IMPULSE: Final = 2.0  #: [s] on either side of an impulse in which the filter's response is computed
+_CLOSEST: Final = 0.999  #: Largest correlation of the turns of a segment and its parent
 
 
 @dataclass(frozen=True)

@@ -78,8 +78,7 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
 
 By = Literal["time", "cycle", "repetition", "range"]
 BYS: Final[tuple[By, ...]] = get_args(By)
-LEAST_SHARE: Final = 0.1
-"""Smallest share of the common frames, or of all repeats, with which an angle is compared."""
+LEAST_SHARE: Final = 0.1  #: Smallest share of the common frames, or of all repeats, with which an angle is compared
 LEAST_OF_RANGE: Final = 0.8
 """Smallest share of the common frames with which a range in time is tested: gaps are where angles are largest
 or near a singular posture. Ranges of whole recordings: `RangeOfMotion.is_comparable`."""
@@ -91,23 +90,17 @@ HEADINGS: Final = ("pelvis_rotation", "pelvis_opensim_tilt", "pelvis_opensim_lis
 class Compared:
     """One side of a comparison."""
 
-    name: str
-    """How it is called in all output."""
+    name: str  #: How it is called in all output
     angles: ClinicalAngles
-    strides: Spans = field(default_factory=dict)
-    """Of the gait cycles, by side."""
+    strides: Spans = field(default_factory=dict)  #: Of the gait cycles, by side
     repetitions: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
     """Kind ('squat', 'sit_to_stand') -> start and stop of each, s."""
-    recording: str = ""
-    """Name of the recording it was computed from; '' if unknown."""
+    recording: str = ""  #: Name of the recording it was computed from; '' if unknown
     other_system: bool = False
     """Whether it is a table of coordinates: without bands, strides and, maybe, with a clock of its own."""
-    own_export: bool = False
-    """Whether such a table is of this package's own model, so that its zeros are the same."""
-    notes: tuple[str, ...] = ()
-    """What its gait cycles and angles do not show, and why."""
-    not_gait: str = ""
-    """Why its strides are not those of walking; '' if they are."""
+    own_export: bool = False  #: Whether such a table is of this package's own model, so that its zeros are the same
+    notes: tuple[str, ...] = ()  #: What its gait cycles and angles do not show, and why
+    not_gait: str = ""  #: Why its strides are not those of walking; '' if they are
 
 
 @dataclass(frozen=True)
@@ -115,24 +108,18 @@ class AngleComparison:
     """One angle of A against B."""
 
     name: str
-    positive: str
-    """The movement that is positive."""
+    positive: str  #: The movement that is positive
     changes: tuple[Change, ...]
     """Of the mean angle and of the range of motion; of the range alone without a common axis."""
-    share: float
-    """Share of the common frames, or of all repeats, that are compared."""
-    repeats: tuple[int, int]
-    """Strides or repetitions of A and B that are compared; 1 for other axes."""
-    errors: CurveErrors | None
-    """Of the curves; None without a common axis."""
+    share: float  #: Share of the common frames, or of all repeats, that are compared
+    repeats: tuple[int, int]  #: Strides or repetitions of A and B that are compared; 1 for other axes
+    errors: CurveErrors | None  #: Of the curves; None without a common axis
     curves: tuple[Array, Array] | None
     """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
     sigmas: tuple[Array | None, Array | None] = (None, None)
     """(P,) rad, standard deviations of the curves; None without bands."""
-    repeated: tuple[Samples, Samples] | None = None
-    """Single strides or repetitions of A and B; None for other axes."""
-    paired: bool = False
-    """Whether these are the same repeats."""
+    repeated: tuple[Samples, Samples] | None = None  #: Single strides or repetitions of A and B; None for other axes
+    paired: bool = False  #: Whether these are the same repeats
 
     @property
     def difference_sigma(self) -> Array | None:
@@ -169,18 +156,12 @@ class Comparison:
     a: Compared
     b: Compared
     by: By
-    axis: Array | None
-    """(P,) s or share of the cycle; None for ranges."""
-    angles: tuple[AngleComparison, ...]
-    """Compared angles, the largest difference first."""
-    left_out: Mapping[str, str]
-    """Angles that are not compared -> why."""
-    shift: float = 0.0
-    """[s] added to the times of B."""
-    alignment: Alignment | None = None
-    """Agreement of the two clocks; None without a common clock."""
-    kind: str = ""
-    """Kind of the repetitions."""
+    axis: Array | None  #: (P,) s or share of the cycle; None for ranges
+    angles: tuple[AngleComparison, ...]  #: Compared angles, the largest difference first
+    left_out: Mapping[str, str]  #: Angles that are not compared -> why
+    shift: float = 0.0  #: [s] added to the times of B
+    alignment: Alignment | None = None  #: Agreement of the two clocks; None without a common clock
+    kind: str = ""  #: Kind of the repetitions
 
     @property
     def changed(self) -> tuple[AngleComparison, ...]:
@@ -381,8 +362,7 @@ class Choice:
 
     by: By
     why: str
-    kind: str = "squat"
-    """Of the repetitions."""
+    kind: str = "squat"  #: Of the repetitions
 
 
 def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:

@@ -43,12 +43,9 @@ _TAIL: Final = 1e-13  # probability left out at either end
 class MixedError:
     """Normal error with mean 0."""
 
-    known: float = 0.0
-    """Known variance, unit^2."""
-    estimated: float = 0.0
-    """Estimated variance, unit^2."""
-    dof: float = np.inf
-    """Degrees of freedom of `estimated`."""
+    known: float = 0.0  #: Known variance, unit^2
+    estimated: float = 0.0  #: Estimated variance, unit^2
+    dof: float = np.inf  #: Degrees of freedom of `estimated`
 
     @property
     def sigma(self) -> float:
@@ -94,8 +91,7 @@ def _average(dof: float) -> tuple[Array, Array]:
     return chi2, weights / weights.sum()
 
 
-LEVEL: Final = 0.05
-"""Chance of a false "changed" among all tests of a comparison."""
+LEVEL: Final = 0.05  #: Chance of a false "changed" among all tests of a comparison
 Repeats = Literal["none", "independent", "paired"]
 """What the values of two motions are: one each; of repeats of a movement, whose spread counts; or of the same
 repeats, such as both sides in the same squats, of which the spread of the differences counts."""
@@ -114,10 +110,8 @@ class Verdict(StrEnum):
 class Measured:
     """One measure of one angle of one motion, from all its repeats."""
 
-    values: Array
-    """(n,) rad, one for each repeat."""
-    band_sigma: float
-    """[rad] standard deviation of the error that all repeats share; 0 if the values count as exact."""
+    values: Array  #: (n,) rad, one for each repeat
+    band_sigma: float  #: [rad] standard deviation of the error that all repeats share; 0 if the values count as exact
 
     @property
     def mean(self) -> float:
@@ -134,20 +128,13 @@ class Measured:
 class Change:
     """A difference B - A, its uncertainty and its test."""
 
-    measure: str
-    """'mean' or 'range'."""
-    a: float
-    """[rad] of motion A."""
-    b: float
-    """[rad] of motion B."""
-    sigma: float
-    """[rad] standard deviation of the difference; NaN if unknown."""
-    dof: float
-    """Degrees of freedom of `sigma`; infinite if it is from bands alone."""
-    p: float
-    """Two-sided p-value of this test alone; NaN if not tested."""
-    p_adjusted: float = float("nan")
-    """Holm's, over all tests of the comparison."""
+    measure: str  #: 'mean' or 'range'
+    a: float  #: [rad] of motion A
+    b: float  #: [rad] of motion B
+    sigma: float  #: [rad] standard deviation of the difference; NaN if unknown
+    dof: float  #: Degrees of freedom of `sigma`; infinite if it is from bands alone
+    p: float  #: Two-sided p-value of this test alone; NaN if not tested
+    p_adjusted: float = float("nan")  #: Holm's, over all tests of the comparison
     detectable: float = float("nan")
     """[rad] a difference of this size is called changed whatever the other angles show."""
     error: MixedError | None = None

@@ -35,8 +35,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 
-Spans = Mapping[str, Sequence[tuple[float, float]]]
-"""Side, or '' for both -> start and stop of each repeat, s."""
+Spans = Mapping[str, Sequence[tuple[float, float]]]  #: Side, or '' for both -> start and stop of each repeat, s
 _GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
 _TURN: Final = 2 * np.pi
 
@@ -45,10 +44,8 @@ _TURN: Final = 2 * np.pi
 class Samples:
     """One angle of one motion on the common axis."""
 
-    values: Array
-    """(n, P) rad, a row for each repeat; NaN where unusable."""
-    sigma: Array | None
-    """(n, P) rad, stated standard deviations; None if the motion has no bands."""
+    values: Array  #: (n, P) rad, a row for each repeat; NaN where unusable
+    sigma: Array | None  #: (n, P) rad, stated standard deviations; None if the motion has no bands
 
     @property
     def complete(self) -> Mask:
@@ -105,10 +102,8 @@ class Pair:
     name: str
     a: Samples
     b: Samples
-    share: float
-    """Share of the common frames, or of all repeats, that are compared."""
-    paired: bool = False
-    """Whether the rows of both are the same repeats."""
+    share: float  #: Share of the common frames, or of all repeats, that are compared
+    paired: bool = False  #: Whether the rows of both are the same repeats
 
 
 def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
@@ -202,12 +197,9 @@ def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:
     return Samples(values.T, None if sigma is None else sigma.T), float(np.isfinite(values).mean())
 
 
-GRID_HZ: Final = 50.0
-"""Sampling rate of the velocities that are compared."""
-CUTOFF_HZ: Final = 4.0
-"""Low-pass of the velocities."""
-POOR: Final = 0.5
-"""Agreement below which two motions hardly agree."""
+GRID_HZ: Final = 50.0  #: Sampling rate of the velocities that are compared
+CUTOFF_HZ: Final = 4.0  #: Low-pass of the velocities
+POOR: Final = 0.5  #: Agreement below which two motions hardly agree
 AMBIGUOUS: Final = 0.9
 """Agreement of the second best shift, as a share of the best, from which on the shift is ambiguous."""
 _LEAST_OVERLAP: Final = 1.0  # [s] of a shift that is considered
@@ -219,18 +211,12 @@ _SHORTEST: Final = 8  # samples of a stretch that is differentiated
 class Alignment:
     """Shift of motion B onto the clock of A."""
 
-    shift: float
-    """[s] added to the times of B."""
-    sigma: float
-    """[s] standard deviation, by a jackknife over the angles; NaN for fewer than three angles."""
-    agreement: float
-    """r at the shift."""
-    rival: float
-    """[s] second best shift; NaN if there is none."""
-    rival_agreement: float
-    """r at that; NaN if there is none."""
-    unshifted: float
-    """r without a shift; NaN if the time spans hardly overlap."""
+    shift: float  #: [s] added to the times of B
+    sigma: float  #: [s] standard deviation, by a jackknife over the angles; NaN for fewer than three angles
+    agreement: float  #: r at the shift
+    rival: float  #: [s] second best shift; NaN if there is none
+    rival_agreement: float  #: r at that; NaN if there is none
+    unshifted: float  #: r without a shift; NaN if the time spans hardly overlap
 
     @property
     def poor(self) -> bool:

@@ -24,8 +24,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.packages import optional
 from rtof_kin.data.confidence import BAND_95
 
-FEWEST: Final = 3
-"""Repeats of each motion that a test needs."""
+FEWEST: Final = 3  #: Repeats of each motion that a test needs
 _NO_SPREAD: Final = 1e-9  # [rad] standard deviation that is rounding
 
 
@@ -33,15 +32,11 @@ _NO_SPREAD: Final = 1e-9  # [rad] standard deviation that is rounding
 class SpmCluster:
     """Consecutive phases in which |t| exceeds the threshold."""
 
-    start: float
-    """Share of the cycle."""
+    start: float  #: Share of the cycle
     stop: float
-    p: float
-    """Chance of a cluster as wide or wider without a difference, of this angle alone."""
-    sign: int
-    """1 where B is larger, -1 where A is."""
-    beyond_bands: bool | None
-    """Whether the difference exceeds the band of B - A somewhere inside; None without bands."""
+    p: float  #: Chance of a cluster as wide or wider without a difference, of this angle alone
+    sign: int  #: 1 where B is larger, -1 where A is
+    beyond_bands: bool | None  #: Whether the difference exceeds the band of B - A somewhere inside; None without bands
 
 
 @dataclass(frozen=True)
@@ -49,11 +44,9 @@ class AngleSpm:
     """SPM{t} of one angle."""
 
     name: str
-    t: Array
-    """(P,) at the phases."""
+    t: Array  #: (P,) at the phases
     dof: float
-    threshold: float
-    """|t| beyond which a cluster begins, at the level of this angle."""
+    threshold: float  #: |t| beyond which a cluster begins, at the level of this angle
     paired: bool
     repeats: tuple[int, int]
     clusters: tuple[SpmCluster, ...]
@@ -64,12 +57,9 @@ class ComparisonSpm:
     """SPM of all angles of a comparison."""
 
     angles: tuple[AngleSpm, ...]
-    not_tested: dict[str, str]
-    """Angle -> why it has no test."""
-    level: float
-    """Of each angle."""
-    phases: Array
-    """(P,) share of the cycle."""
+    not_tested: dict[str, str]  #: Angle -> why it has no test
+    level: float  #: Of each angle
+    phases: Array  #: (P,) share of the cycle
 
 
 def compare_spm(found: Comparison) -> ComparisonSpm:

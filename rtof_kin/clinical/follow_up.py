@@ -48,18 +48,15 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
-POWER: Final = 0.8
-"""Probability with which a change of the size `shown_mostly` is shown."""
+POWER: Final = 0.8  #: Probability with which a change of the size `shown_mostly` is shown
 
 
 @dataclass(frozen=True)
 class BandShares:
     """How the variance of the bands is divided; what is left is independent from trial to trial."""
 
-    all_visits: float = 0.0
-    """Share of the error that all visits have in common, which cancels in a change."""
-    visit: float = 1.0
-    """Share of the error that the trials of one visit have in common."""
+    all_visits: float = 0.0  #: Share of the error that all visits have in common, which cancels in a change
+    visit: float = 1.0  #: Share of the error that the trials of one visit have in common
 
     def __post_init__(self) -> None:
         if not (min(self.all_visits, self.visit) >= 0 and self.all_visits + self.visit <= 1 + 1e-12):
@@ -78,8 +75,7 @@ class BandShares:
 class Sem:
     """A standard error of measurement."""
 
-    error: MixedError
-    """Of one value; without a variance where nothing states it."""
+    error: MixedError  #: Of one value; without a variance where nothing states it
 
     @property
     def sem(self) -> float:
@@ -185,8 +181,7 @@ class Outcome(StrEnum):
 
     IMPROVED = "improved"
     WORSE = "worse"
-    CHANGED = "changed"
-    """Changed, but no direction is known to be better, or it is not shown which."""
+    CHANGED = "changed"  #: Changed, but no direction is known to be better, or it is not shown which
     NOT_SHOWN = "not shown"
     NOT_TESTED = "not tested"
 
@@ -195,8 +190,7 @@ class Repeated(StrEnum):
     """What repeats within a visit."""
 
     TRIALS = "trials"
-    STRIDES = "strides"
-    """Strides or repetitions of the single trial of each visit."""
+    STRIDES = "strides"  #: Strides or repetitions of the single trial of each visit
     NOTHING = "nothing"
 
 
@@ -210,13 +204,11 @@ class Followed:
     visits: tuple[Measured | None, ...]
     """Of each visit: the values of its trials (of its strides, see `FollowUp.repeated`), and their mean band;
     None where it was not observed."""
-    baseline: int
-    """Index of the visit that the others are compared with."""
+    baseline: int  #: Index of the visit that the others are compared with
     errors: MeasurementErrors
     changes: tuple[Change | None, ...]
     """Of each visit from the baseline; None for the baseline and where either was not observed."""
-    why_not: str = ""
-    """Why no change is tested; '' if it is."""
+    why_not: str = ""  #: Why no change is tested; '' if it is
 
     @property
     def estimates(self) -> Array:
@@ -281,20 +273,15 @@ class Followed:
 class FollowUp:
     """Answer for all measures."""
 
-    visits: tuple[Visit, ...]
-    """In order."""
+    visits: tuple[Visit, ...]  #: In order
     baseline: int
     by: Movement
-    kind: str
-    """Of the repetitions; '' for others."""
-    why: str
-    """Why it is measured by this; '' if it was given."""
+    kind: str  #: Of the repetitions; '' for others
+    why: str  #: Why it is measured by this; '' if it was given
     repeated: Repeated
     measures: tuple[Followed, ...]
-    incomparable: tuple[str, ...]
-    """What makes visits not comparable, in sentences, the gravest first."""
-    left_out: Mapping[str, str]
-    """Trials and measures that are left out -> why."""
+    incomparable: tuple[str, ...]  #: What makes visits not comparable, in sentences, the gravest first
+    left_out: Mapping[str, str]  #: Trials and measures that are left out -> why
 
     @property
     def last(self) -> int:

@@ -22,10 +22,8 @@ from rtof_kin.clinical.gait_events import LONGEST_STRIDE, GaitEvents, Stride, fi
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
-STANCE: Final = (0.55, 0.82)
-"""Stance shares of walking, of the stride time; slow walking has up to four fifths."""
-PHASE: Final = (0.32, 0.68)
-"""Strike of the other foot, share of the stride time."""
+STANCE: Final = (0.55, 0.82)  #: Stance shares of walking, of the stride time; slow walking has up to four fifths
+PHASE: Final = (0.32, 0.68)  #: Strike of the other foot, share of the stride time
 LEAST_SWING: Final = 0.20  # [m] excursion of a heel relative to the pelvis within a stride
 LEAST_PROGRESS: Final = 0.30  # [m] way of the pelvis in one stride over ground
 ON_THE_SPOT: Final = 0.20  # [m] largest way of the pelvis in one stride on a treadmill
@@ -38,10 +36,8 @@ FORWARD: Final = np.cos(np.radians(35.0))
 """Least cosine between the way of the pelvis and the direction in which it faces."""
 LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
 LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noise has a decimetre
-MID_STANCE: Final = np.array([0.2, 0.7])
-"""Share of stance in which a heel stands, or moves with a treadmill's belt."""
-FEWEST: Final = 3
-"""Strides of both feet together from which on a motion is walking whatever else the recording shows."""
+MID_STANCE: Final = np.array([0.2, 0.7])  #: Share of stance in which a heel stands, or moves with a treadmill's belt
+FEWEST: Final = 3  #: Strides of both feet together from which on a motion is walking whatever else the recording shows
 MOST_OF_TIME: Final = 0.5
 """Share of the recording that fewer strides must take; those within other movements take less."""
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
@@ -52,32 +48,22 @@ UNSTEADY: Final = 0.15  # coefficient of variation of stride times
 class StrideShape:
     """Shape of one stride, by which walking is recognised; NaN where unknown."""
 
-    stance_share: float
-    """Stance time divided by stride time."""
-    phase: float
-    """Strike of the other foot, share of the stride time."""
-    swing: float
-    """[m] excursion of the heel relative to the pelvis, along its heading."""
-    progress: float
-    """[m] horizontal way of the pelvis from start to stop."""
-    forward: float
-    """Cosine between that way and the mean heading."""
-    turn: float
-    """[rad] change of the heading from start to stop."""
-    slip: float
-    """[m] horizontal way of the heel in world from 20 to 70 % of stance."""
+    stance_share: float  #: Stance time divided by stride time
+    phase: float  #: Strike of the other foot, share of the stride time
+    swing: float  #: [m] excursion of the heel relative to the pelvis, along its heading
+    progress: float  #: [m] horizontal way of the pelvis from start to stop
+    forward: float  #: Cosine between that way and the mean heading
+    turn: float  #: [rad] change of the heading from start to stop
+    slip: float  #: [m] horizontal way of the heel in world from 20 to 70 % of stance
 
 
 @dataclass(frozen=True)
 class GaitVerdict:
     """Whether a motion is gait, and which of its strides are those of walking."""
 
-    walking: tuple[Stride, ...]
-    """Strides of walking, by their start."""
-    on_the_spot: bool
-    """Whether the pelvis stays where it is: a treadmill, or walking on the spot."""
-    why_not: str
-    """One sentence on why the motion is no gait; '' if it is."""
+    walking: tuple[Stride, ...]  #: Strides of walking, by their start
+    on_the_spot: bool  #: Whether the pelvis stays where it is: a treadmill, or walking on the spot
+    why_not: str  #: One sentence on why the motion is no gait; '' if it is
 
     @property
     def is_gait(self) -> bool:
@@ -206,8 +192,7 @@ def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequ
     return ""
 
 
-PHASES: Final = np.linspace(0.0, 1.0, 101)
-"""Samples of a cycle, share of the time from heel strike to heel strike."""
+PHASES: Final = np.linspace(0.0, 1.0, 101)  #: Samples of a cycle, share of the time from heel strike to heel strike
 MEASURES: Final = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
 """Fields of `Stride` that are averaged and compared between the sides."""
 Summary = dict[str, dict[str, tuple[float, float, int]]]
@@ -218,10 +203,8 @@ class GaitAnalysis:
     """Strides of a recording and their spatiotemporal parameters."""
 
     events: GaitEvents
-    strides: tuple[Stride, ...]
-    """Of both feet, by their start."""
-    summary: Summary
-    """Side -> measure of `MEASURES` -> (mean, standard deviation, n); the deviation is NaN for n = 1."""
+    strides: tuple[Stride, ...]  #: Of both feet, by their start
+    summary: Summary  #: Side -> measure of `MEASURES` -> (mean, standard deviation, n); the deviation is NaN for n = 1
     symmetry: dict[str, float]
     """Measure -> (right - left) / mean of both; 0 is symmetric. Empty if a side has no stride."""
     notes: tuple[str, ...]
@@ -259,8 +242,7 @@ class CycleCurves:
 
     name: str
     side: str
-    curves: Array
-    """(n, 101) radians at `PHASES`, one row for each stride with a complete curve."""
+    curves: Array  #: (n, 101) radians at `PHASES`, one row for each stride with a complete curve
 
     @property
     def mean(self) -> Array:

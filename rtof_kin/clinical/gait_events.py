@@ -23,37 +23,28 @@ CUTOFF_HZ: Final = 7.0  # low-pass of the feet's path
 HEADING_CUTOFF_HZ: Final = 0.5  # low-pass of the pelvis heading, which removes its rotation within a step
 LEAST_SWING: Final = 0.10  # [m] smallest prominence of an extremum of the heel's path
 LEAST_STRIDE: Final = 0.4  # [s] shortest time between two strikes of one foot
-LEAST_RATE_HZ: Final = 5.0
-"""Lowest sampling rate: with two frames in a swing, stride times are accurate to 1 %."""
+LEAST_RATE_HZ: Final = 5.0  #: Lowest sampling rate: with two frames in a swing, stride times are accurate to 1 %
 
 
 @dataclass(frozen=True)
 class FootEvents:
     """Events of one foot."""
 
-    strikes: Array
-    """(n,) seconds of the heel strikes."""
-    offs: Array
-    """(m,) seconds of the toe offs."""
-    heel: Array
-    """(T, 3) m, path of the heel in world (of the ankle if the foot's orientation is mostly unobserved)."""
-    by_ankle: bool = False
-    """Whether the ankle gives both events; its stance is 4 % of the stride shorter."""
+    strikes: Array  #: (n,) seconds of the heel strikes
+    offs: Array  #: (m,) seconds of the toe offs
+    heel: Array  #: (T, 3) m, path of the heel in world (of the ankle if the foot's orientation is mostly unobserved)
+    by_ankle: bool = False  #: Whether the ankle gives both events; its stance is 4 % of the stride shorter
 
 
 @dataclass(frozen=True)
 class GaitEvents:
     """Events of both feet."""
 
-    times: Array
-    """(T,) seconds of the recording."""
-    feet: dict[str, FootEvents]
-    """'right' and 'left', if observed."""
+    times: Array  #: (T,) seconds of the recording
+    feet: dict[str, FootEvents]  #: 'right' and 'left', if observed
     notes: tuple[str, ...]
-    pelvis: Array
-    """(T, 3) m, path of the pelvis in world; NaN where unobserved."""
-    forward: Array
-    """(T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown."""
+    pelvis: Array  #: (T, 3) m, path of the pelvis in world; NaN where unobserved
+    forward: Array  #: (T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown
 
 
 def gait_events(paths: BodyPaths) -> GaitEvents:
@@ -145,13 +136,10 @@ class Stride:
     """A heel strike to the next of the same foot."""
 
     side: str
-    start: float
-    """[s] first strike."""
+    start: float  #: [s] first strike
     toe_off: float
-    stop: float
-    """[s] next strike."""
-    stride_length: float
-    """[m] horizontal way of the heel between the strikes, straightened in turns; 0 on a treadmill."""
+    stop: float  #: [s] next strike
+    stride_length: float  #: [m] horizontal way of the heel between the strikes, straightened in turns; 0 on a treadmill
 
     @property
     def stride_time(self) -> float:

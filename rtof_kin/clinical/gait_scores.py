@@ -34,8 +34,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.gait_reference import NAMES, GaitReference
 
-PELVIS: Final = 3
-"""Variables of the pelvis, the first of `VARIABLES`."""
+PELVIS: Final = 3  #: Variables of the pelvis, the first of `VARIABLES`
 
 
 @dataclass(frozen=True)
@@ -45,12 +44,9 @@ class Score:
     value: float
     pose_sigma: float
     """Root of the mean variance of the curves by the covariances of the poses; NaN if these are unknown."""
-    stride_sigma: float
-    """The same by the number of strides and their spread; NaN for one stride."""
-    stride_bound: float
-    """The same widened by Student's quantile, as the spread is estimated."""
-    spread: float
-    """Standard deviation of the score between strides; NaN for fewer than two."""
+    stride_sigma: float  #: The same by the number of strides and their spread; NaN for one stride
+    stride_bound: float  #: The same widened by Student's quantile, as the spread is estimated
+    spread: float  #: Standard deviation of the score between strides; NaN for fewer than two
     strides: int
 
     @property
@@ -87,16 +83,11 @@ NOT_COMPUTED: Final = Score(_NAN, _NAN, _NAN, _NAN, _NAN, 0)
 class SideCurves:
     """Mean curves of one side, and their uncertainty."""
 
-    mean: Array
-    """(9, 51) rad; NaN for a variable without a complete stride."""
-    pose_variance: Array
-    """(9, 51) rad^2, by the covariances; NaN if unknown."""
-    stride_variance: Array
-    """(9, 51) rad^2, of a mean over these strides; NaN for a single one."""
-    stride_bound: Array
-    """(9, 51) rad^2, the same times the ratio of Student's to the normal quantile squared."""
-    strides: Array
-    """(n, 9, 51) rad, of the single strides."""
+    mean: Array  #: (9, 51) rad; NaN for a variable without a complete stride
+    pose_variance: Array  #: (9, 51) rad^2, by the covariances; NaN if unknown
+    stride_variance: Array  #: (9, 51) rad^2, of a mean over these strides; NaN for a single one
+    stride_bound: Array  #: (9, 51) rad^2, the same times the ratio of Student's to the normal quantile squared
+    strides: Array  #: (n, 9, 51) rad, of the single strides
 
 
 @dataclass(frozen=True)
@@ -105,14 +96,11 @@ class GaitScores:
 
     profile: Mapping[str, tuple[Score, ...]]
     """Side -> nine scores in the order of `VARIABLES`: the Movement Analysis Profile."""
-    sides: Mapping[str, Score]
-    """Side -> Gait Profile Score."""
+    sides: Mapping[str, Score]  #: Side -> Gait Profile Score
     overall: Score
-    missing: Mapping[str, Mapping[str, str]]
-    """Side -> variables without a score -> what they need."""
+    missing: Mapping[str, Mapping[str, str]]  #: Side -> variables without a score -> what they need
     curves: Mapping[str, SideCurves]
-    has_bands: bool
-    """Whether the motion has covariances."""
+    has_bands: bool  #: Whether the motion has covariances
 
 
 def gait_scores(cycles: GaitCycles, reference: GaitReference) -> GaitScores:
@@ -193,25 +181,19 @@ def people_scores(reference: GaitReference) -> tuple[Array, Array] | None:
     return np.sqrt(squares), np.sqrt(squares.mean(axis=-1))
 
 
-VARIANCE: Final = 0.98
-"""Share of the reference's variance that the features have."""
-FEWEST: Final = 5
-"""People without whose curves there is no index."""
+VARIANCE: Final = 0.98  #: Share of the reference's variance that the features have
+FEWEST: Final = 5  #: People without whose curves there is no index
 
 
 @dataclass(frozen=True)
 class GaitFeatures:
     """Features of a reference, and the scale of its distances."""
 
-    mean: Array
-    """(459,) rad."""
-    basis: Array
-    """(459, m), orthonormal columns."""
-    log_mean: float
-    """Mean of the logarithms of the people's distances."""
+    mean: Array  #: (459,) rad
+    basis: Array  #: (459, m), orthonormal columns
+    log_mean: float  #: Mean of the logarithms of the people's distances
     log_sd: float
-    distances: Array
-    """(N, 2) rad, of people, right and left, each from mean and features of the others."""
+    distances: Array  #: (N, 2) rad, of people, right and left, each from mean and features of the others
 
     def index(self, distance: Array | float) -> Array:
         """Return the index of a distance (...), rad, from the mean along the features."""
@@ -224,12 +206,9 @@ class DeviationIndex:
     """The index of one side."""
 
     value: float
-    low: float
-    """Lower end of the 95 % band."""
-    high: float
-    """Upper end; infinite if the curves may be the mean itself."""
-    explained: float
-    """Share of the squared deviation from the mean that the features have."""
+    low: float  #: Lower end of the 95 % band
+    high: float  #: Upper end; infinite if the curves may be the mean itself
+    explained: float  #: Share of the squared deviation from the mean that the features have
 
 
 def gait_features(reference: GaitReference) -> GaitFeatures:
@@ -284,10 +263,8 @@ def deviation_index(curves: SideCurves, features: GaitFeatures) -> DeviationInde
     return DeviationIndex(value, low, high, (distance / total) ** 2 if total > 0 else 1.0)
 
 
-FEW: Final = 10
-"""People below whose number scores are said to be relative to few."""
-LEAST_STRIDES: Final = 3
-"""Strides of each side that a person needs."""
+FEW: Final = 10  #: People below whose number scores are said to be relative to few
+LEAST_STRIDES: Final = 3  #: Strides of each side that a person needs
 
 
 def build_reference(

@@ -52,16 +52,11 @@ _NEEDS: Final = {
 class GaitCycles:
     """The nine variables over n strides, and what they are of."""
 
-    sides: tuple[str, ...]
-    """n sides, by the start of the stride."""
-    curves: Array
-    """(n, 9, 51) rad, in the order of `VARIABLES`; NaN as a whole where a curve is not complete."""
-    sigma: Array | None
-    """(n, 9, 51) rad, stated standard deviations; None if the motion has no bands."""
-    speeds: Array
-    """(n,) m/s; NaN on a treadmill."""
-    why_not: str
-    """One sentence on why the motion has no strides that count; '' if it has."""
+    sides: tuple[str, ...]  #: n sides, by the start of the stride
+    curves: Array  #: (n, 9, 51) rad, in the order of `VARIABLES`; NaN as a whole where a curve is not complete
+    sigma: Array | None  #: (n, 9, 51) rad, stated standard deviations; None if the motion has no bands
+    speeds: Array  #: (n,) m/s; NaN on a treadmill
+    why_not: str  #: One sentence on why the motion has no strides that count; '' if it has
     notes: tuple[str, ...] = ()
 
     def complete(self, side: str) -> Mask:
@@ -136,8 +131,7 @@ class _Sampled:
 
     side: str
     times: Array
-    values: Array
-    """(T, 9) rad."""
+    values: Array  #: (T, 9) rad
     sigma: Array | None
 
     @classmethod

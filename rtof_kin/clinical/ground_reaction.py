@@ -38,14 +38,10 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu import STANDARD_GRAVITY
 
-HEIGHT: Final = 0.06
-"""[m] over the floor at which a point of the sole may still touch it."""
-SPEED: Final = 0.7
-"""[m/s] of a point of the sole that may bear load."""
-SLOW: Final = 0.3
-"""[m/s] of points that tell how high the floor is."""
-SHORTEST: Final = 0.05
-"""[s] of a contact or its absence."""
+HEIGHT: Final = 0.06  #: [m] over the floor at which a point of the sole may still touch it
+SPEED: Final = 0.7  #: [m/s] of a point of the sole that may bear load
+SLOW: Final = 0.3  #: [m/s] of points that tell how high the floor is
+SHORTEST: Final = 0.05  #: [s] of a contact or its absence
 
 
 class Contact(IntEnum):
@@ -72,12 +68,9 @@ STATUS: Final = {
 class FootContacts:
     """Contacts of the feet with a level floor."""
 
-    state: NDArray[np.uint8]
-    """(T,) `Contact`."""
-    floor: float
-    """[m] height of the floor in world; NaN if no foot was ever slow."""
-    by_ankle: tuple[str, ...]
-    """Sides whose sole was not observed: there is no outline of it."""
+    state: NDArray[np.uint8]  #: (T,) `Contact`
+    floor: float  #: [m] height of the floor in world; NaN if no foot was ever slow
+    by_ankle: tuple[str, ...]  #: Sides whose sole was not observed: there is no outline of it
     notes: tuple[str, ...]
 
     @property
@@ -204,48 +197,31 @@ def _without_short(mask: Mask, rate_hz: float) -> Mask:
     return out
 
 
-HALF_WIDTH: Final = 0.05
-"""[m] of a sole, to either side of the line from heel to toe."""
-BEYOND: Final = 0.02
-"""[m] of a sole behind the heel's point and before the toe's."""
-MISSED: Final = 0.3
-"""Share of the body weight that cannot be an error in flight: some contact was missed."""
+HALF_WIDTH: Final = 0.05  #: [m] of a sole, to either side of the line from heel to toe
+BEYOND: Final = 0.02  #: [m] of a sole behind the heel's point and before the toe's
+MISSED: Final = 0.3  #: Share of the body weight that cannot be an error in flight: some contact was missed
 LEAST_FORCE: Final = 0.1
 """Share of the body weight below which there is no centre of pressure: it would be force over noise."""
-OUTSIDE: Final = 0.03
-"""[m] outside the soles at which a centre of pressure contradicts the contacts."""
-MANY: Final = 10.0
-"""[%] of the frames from which on a contradiction is noted."""
-_FRICTION: Final = 0.9
-"""Largest coefficient of friction between shoes and floors."""
-_BLOCK: Final = 2000
-"""[frames] of the linear programmes at a time."""
+OUTSIDE: Final = 0.03  #: [m] outside the soles at which a centre of pressure contradicts the contacts
+MANY: Final = 10.0  #: [%] of the frames from which on a contradiction is noted
+_FRICTION: Final = 0.9  #: Largest coefficient of friction between shoes and floors
+_BLOCK: Final = 2000  #: [frames] of the linear programmes at a time
 
 
 @dataclass(frozen=True)
 class GroundReaction:
     """Force of the floor on the person; NaN where unknown, two sides in the order of `SIDES`."""
 
-    times: Array
-    """(T,) s."""
-    weight_kg: float
-    """Body mass, kg."""
-    state: NDArray[np.uint8]
-    """(T,) `Contact`."""
-    force: Array
-    """(T, 3) N, of all external contacts together, world axes."""
-    force_sigma: Array
-    """(T, 3) N, its standard deviations."""
-    pressure: Array
-    """(T, 2) m, centre of pressure of both feet together on the floor, world."""
-    pressure_sigma: Array
-    """(T, 2) m, its standard deviations relative to the feet."""
-    outside: Array
-    """(T,) m, distance of the centre of pressure from the soles on the floor; 0 inside."""
-    vertical: Array
-    """(T, 2, 2) N, lowest and highest vertical force on each foot; equal where one foot bears all."""
-    floor: float
-    """[m] height of the floor in world."""
+    times: Array  #: (T,) s
+    weight_kg: float  #: Body mass, kg
+    state: NDArray[np.uint8]  #: (T,) `Contact`
+    force: Array  #: (T, 3) N, of all external contacts together, world axes
+    force_sigma: Array  #: (T, 3) N, its standard deviations
+    pressure: Array  #: (T, 2) m, centre of pressure of both feet together on the floor, world
+    pressure_sigma: Array  #: (T, 2) m, its standard deviations relative to the feet
+    outside: Array  #: (T,) m, distance of the centre of pressure from the soles on the floor; 0 inside
+    vertical: Array  #: (T, 2, 2) N, lowest and highest vertical force on each foot; equal where one foot bears all
+    floor: float  #: [m] height of the floor in world
     notes: tuple[str, ...]
 
     @property

@@ -21,18 +21,13 @@ from rtof_kin.data.poses import PoseSequence
 class BodyPaths:
     """Positions of a few points of a whole motion of any length, and what was observed of it."""
 
-    times: Array
-    """(T,) seconds."""
+    times: Array  #: (T,) seconds
     points: dict[str, Array]
     """Anatomical term ('pelvis', 'right foot', 'right heel', 'right toe', ...) -> (T, 3) m, in world."""
-    heading: Array
-    """(T,) rad, of the pelvis; NaN where its pose is unknown."""
-    standing: Mask | None
-    """(T,) whether the person stands still (`standing_frames`); None without a request."""
-    table: AngleTable
-    """Joint of each term, see `AngleTable.segments`."""
-    masks: ObservationMasks
-    """Of all joints."""
+    heading: Array  #: (T,) rad, of the pelvis; NaN where its pose is unknown
+    standing: Mask | None  #: (T,) whether the person stands still (`standing_frames`); None without a request
+    table: AngleTable  #: Joint of each term, see `AngleTable.segments`
+    masks: ObservationMasks  #: Of all joints
 
     def __len__(self) -> int:
         return len(self.times)

@@ -26,12 +26,9 @@ CUTOFF_HZ: Final = 6.0  # low-pass before differentiation (Winter, Biomechanics 
 class UncertainEnd:
     """Unreliable samples that may lie beyond the reliable values of an angle, at one end of its range."""
 
-    seconds: float
-    """[s] in which they may."""
-    value: float
-    """[rad] the furthest of their values, or the reliable end where none lies beyond it."""
-    bound: float
-    """[rad] the furthest end of their 95 % bands; NaN if the motion has no confidence."""
+    seconds: float  #: [s] in which they may
+    value: float  #: [rad] the furthest of their values, or the reliable end where none lies beyond it
+    bound: float  #: [rad] the furthest end of their 95 % bands; NaN if the motion has no confidence
 
 
 @dataclass(frozen=True)
@@ -47,22 +44,15 @@ class RangeOfMotion:
     mean: float
     time_low: float
     time_high: float
-    peak_velocity: float
-    """[rad/s] largest absolute angular velocity."""
-    known_share: float
-    """Share of the frames in which the angle is observed."""
-    singular_share: float
-    """Share of those near a singular posture; NaN for none."""
-    trusted_share: float = 1.0
-    """Share of those with a reliable value (`decomposition`); NaN for none."""
-    low_sigma: float = float("nan")
-    """[rad] standard deviation of `low`; NaN if the motion has no confidence."""
-    high_sigma: float = float("nan")
-    """[rad] standard deviation of `high`; NaN if the motion has no confidence."""
+    peak_velocity: float  #: [rad/s] largest absolute angular velocity
+    known_share: float  #: Share of the frames in which the angle is observed
+    singular_share: float  #: Share of those near a singular posture; NaN for none
+    trusted_share: float = 1.0  #: Share of those with a reliable value (`decomposition`); NaN for none
+    low_sigma: float = float("nan")  #: [rad] standard deviation of `low`; NaN if the motion has no confidence
+    high_sigma: float = float("nan")  #: [rad] standard deviation of `high`; NaN if the motion has no confidence
     range_sigma: float = float("nan")
     """[rad] standard deviation of `range` (`range_deviation`); NaN if the motion has no confidence."""
-    about_vertical: bool = False
-    """Whether the angle is a heading (see `Travel`) and its range no range of motion."""
+    about_vertical: bool = False  #: Whether the angle is a heading (see `Travel`) and its range no range of motion
     uncertain_low: UncertainEnd | None = None
     """Unreliable samples that may be lower than `low`; None if there are none."""
     uncertain_high: UncertainEnd | None = None

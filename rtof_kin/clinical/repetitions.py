@@ -28,16 +28,11 @@ AT_REST: Final = 0.05  # a movement lasts from 5 % to 95 % of its way, which exc
 class Repetition:
     """One descent and ascent; for sit-to-stand the ascent, and the descent if it was recorded."""
 
-    descent: Interval | None
-    """[s] start and stop; None if the recording begins below."""
-    ascent: Interval | None
-    """[s] start and stop; None if the recording ends below."""
-    depth: float
-    """[m] descent of the pelvis, relative to the higher of its two ends."""
-    depth_share: float
-    """Depth as a share of the leg's length (thigh and shank)."""
-    knee_flexion: dict[str, float]
-    """Side -> largest knee flexion, rad; NaN if unobserved."""
+    descent: Interval | None  #: [s] start and stop; None if the recording begins below
+    ascent: Interval | None  #: [s] start and stop; None if the recording ends below
+    depth: float  #: [m] descent of the pelvis, relative to the higher of its two ends
+    depth_share: float  #: Depth as a share of the leg's length (thigh and shank)
+    knee_flexion: dict[str, float]  #: Side -> largest knee flexion, rad; NaN if unobserved
 
     @property
     def descent_time(self) -> float:

@@ -40,8 +40,7 @@ from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
-EVERY: Final = 1 / 15
-"""[s] between frames in which they are computed; variances are interpolated linearly."""
+EVERY: Final = 1 / 15  #: [s] between frames in which they are computed; variances are interpolated linearly
 
 
 def dynamics_confidence(
@@ -104,37 +103,28 @@ SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twic
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
 _CARRY: Final = tuple(name for limb in LIMBS if "UpLeg" in limb[0] for name in limb[1:])
 """Knees and ankles, without which no torque of a leg is known."""
-_EDGE: Final = 0.1
-"""[s] at either end of a stretch that are left NaN, where accelerations are one-sided differences."""
+_EDGE: Final = 0.1  #: [s] at either end of a stretch that are left NaN, where accelerations are one-sided differences
 
 
-_MARGIN: Final = 2.0
-"""[s] beside a block that are filtered with it: the filter's response has fallen below 1e-20."""
+_MARGIN: Final = 2.0  #: [s] beside a block that are filtered with it: the filter's response has fallen below 1e-20
 
 
 @dataclass(frozen=True)
 class JointTorques:
     """Torques of all revolutes, and the external wrench on the root."""
 
-    times: Array
-    """(T,) seconds."""
-    torques: Array
-    """(T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown."""
+    times: Array  #: (T,) seconds
+    torques: Array  #: (T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown
     dof_names: tuple[str, ...]
-    root_wrench: Array
-    """(T, 6) external force, N, and moment about the root, N m, in world axes."""
-    unexplained: Array
-    """(T, 6) the part of it that is not assigned to a foot."""
-    weight_kg: float
-    """Body mass, kg."""
+    root_wrench: Array  #: (T, 6) external force, N, and moment about the root, N m, in world axes
+    unexplained: Array  #: (T, 6) the part of it that is not assigned to a foot
+    weight_kg: float  #: Body mass, kg
     notes: tuple[str, ...]
     sigma_parts: NDArray[np.float32]
     """(2, T, D) N m, standard deviations of the torques by the motion's errors and by those of the masses
     (`torques`). The first is NaN where the motion has no confidence."""
-    wrench: Array
-    """(T, 6) external force and moment about `reference`, world axes."""
-    wrench_covariances: NDArray[np.float32]
-    """(2, T, 6, 6) of `wrench`, by the same two components, N and N m."""
+    wrench: Array  #: (T, 6) external force and moment about `reference`, world axes
+    wrench_covariances: NDArray[np.float32]  #: (2, T, 6, 6) of `wrench`, by the same two components, N and N m
     reference: Array
     """(T, 3) m, the middle between heel and toe: of the foot that bears all load, else the mean of both."""
 

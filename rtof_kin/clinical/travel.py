@@ -39,26 +39,19 @@ class Travel:
     """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight across gaps."""
     displacement: float
     """[m] distance from the first to the last point of that path, never longer; 0 if below `LEAST_WAY`."""
-    direction: float
-    """[rad] heading of that displacement from world x, counterclockwise; NaN if it is 0."""
+    direction: float  #: [rad] heading of that displacement from world x, counterclockwise; NaN if it is 0
     relative_direction: float
     """[rad] the same from the mean direction in which the pelvis faces: 0 forward, pi/2 to the left, pi
     backward; NaN also if it turned by more than a right angle in between."""
-    turned_left: float
-    """[rad] sum of all turns to the left that are beyond their 95 % band."""
-    turned_right: float
-    """[rad] the same to the right, positive."""
-    walking_share: float
-    """Share of the recording within strides of walking (`GaitVerdict.walking`)."""
-    observed_share: float
-    """Share of the recording in which the position of the pelvis was observed."""
+    turned_left: float  #: [rad] sum of all turns to the left that are beyond their 95 % band
+    turned_right: float  #: [rad] the same to the right, positive
+    walking_share: float  #: Share of the recording within strides of walking (`GaitVerdict.walking`)
+    observed_share: float  #: Share of the recording in which the position of the pelvis was observed
     notes: tuple[str, ...]
     turned_left_sigma: float = float("nan")
     """[rad] standard deviation of `turned_left`; NaN if the motion has no confidence, 0 without a turn."""
-    turned_right_sigma: float = float("nan")
-    """[rad] standard deviation of `turned_right`."""
-    unsure_turns: bool = False
-    """Whether turns were left out that are within their 95 % band."""
+    turned_right_sigma: float = float("nan")  #: [rad] standard deviation of `turned_right`
+    unsure_turns: bool = False  #: Whether turns were left out that are within their 95 % band
 
     @property
     def way(self) -> str:
@@ -100,12 +93,9 @@ class Travel:
 class _Turns:
     """Turns of a heading, one after the other."""
 
-    angles: Array
-    """(n,) rad, positive to the left."""
-    sigma: Array
-    """(n,) rad, NaN without stated errors of the heading."""
-    against_path: Array
-    """(n,) rad, difference from the turn of the path; 0 where it has none."""
+    angles: Array  #: (n,) rad, positive to the left
+    sigma: Array  #: (n,) rad, NaN without stated errors of the heading
+    against_path: Array  #: (n,) rad, difference from the turn of the path; 0 where it has none
 
     @property
     def certain(self) -> Mask:

@@ -38,14 +38,11 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
 from rtof_kin.core.errors import InvalidInputError
 
-OTHER_BONES: Final = 0.01
-"""Relative difference from which on a bone has another length."""
+OTHER_BONES: Final = 0.01  #: Relative difference from which on a bone has another length
 OTHER_VIEW: Final = np.radians(20.0)
 """[rad] Difference of the directions from which the person was filmed that is another view."""
-OTHER_PLACE: Final = 0.25
-"""Relative difference of the camera's distance that is another view."""
-OTHER_HEIGHT: Final = 0.3
-"""[m] Difference of the camera's height that is another view."""
+OTHER_PLACE: Final = 0.25  #: Relative difference of the camera's distance that is another view
+OTHER_HEIGHT: Final = 0.3  #: [m] Difference of the camera's height that is another view
 
 
 @dataclass(frozen=True)
@@ -53,28 +50,19 @@ class Setup:
     """How a trial was recorded and reconstructed; '' or NaN where unknown."""
 
     subject: str = ""
-    date: str = ""
-    """Day, as 2026-01-31."""
+    date: str = ""  #: Day, as 2026-01-31
     protocol: str = ""
-    mode: str = ""
-    """Of the reconstruction."""
-    software: str = ""
-    """Package and version."""
-    model: str = ""
-    """Lifter and pose prior, and settings of the solver that differ from the default."""
-    sensors: tuple[str, ...] = ()
-    """Segments that carry one."""
-    points: tuple[str, ...] = ()
-    """Landmarks that the detector found."""
+    mode: str = ""  #: Of the reconstruction
+    software: str = ""  #: Package and version
+    model: str = ""  #: Lifter and pose prior, and settings of the solver that differ from the default
+    sensors: tuple[str, ...] = ()  #: Segments that carry one
+    points: tuple[str, ...] = ()  #: Landmarks that the detector found
     cameras: int = 0
-    camera_height: float = float("nan")
-    """[m] above the origin of the world."""
-    camera_distance: float = float("nan")
-    """[m] median distance of the person."""
+    camera_height: float = float("nan")  #: [m] above the origin of the world
+    camera_distance: float = float("nan")  #: [m] median distance of the person
     view: float = float("nan")
     """[rad] mean heading of the person, from the direction in which the camera looks; NaN if it varies."""
-    failed: str = ""
-    """Headline of the audit where its verdict is 'fail'."""
+    failed: str = ""  #: Headline of the audit where its verdict is 'fail'
 
 
 @dataclass(frozen=True)
@@ -83,8 +71,7 @@ class Trial:
 
     name: str
     analysis: MotionAnalysis
-    repetitions: Spans
-    """Kind ('squat', 'sit_to_stand') -> start and stop of each, s."""
+    repetitions: Spans  #: Kind ('squat', 'sit_to_stand') -> start and stop of each, s
     stride_sigma: Mapping[Stride, float]
     """[m] standard deviation of the length of each stride by the motion's covariances; empty without any."""
     setup: Setup = field(default_factory=Setup)
@@ -95,8 +82,7 @@ class Visit:
     """Trials of one day."""
 
     name: str
-    trials: tuple[Trial, ...]
-    """At least one."""
+    trials: tuple[Trial, ...]  #: At least one
     day: date | None = None
 
 
@@ -241,12 +227,9 @@ _UNITS: Final = {"stride_time": "s", "stride_length": "m", "stance_share": "%"}
 class Measure:
     """What is followed."""
 
-    name: str
-    """E.g. 'right_knee_flexion_range', 'gait_speed', 'right_stride_length', 'stance_share_symmetry'."""
-    unit: str
-    """Unit of output, of `SCALES`."""
-    positive: str = ""
-    """The movement that is positive, of an angle."""
+    name: str  #: E.g. 'right_knee_flexion_range', 'gait_speed', 'right_stride_length', 'stance_share_symmetry'.
+    unit: str  #: Unit of output, of `SCALES`
+    positive: str = ""  #: The movement that is positive, of an angle
 
     @property
     def is_gait(self) -> bool:
@@ -321,8 +304,7 @@ def _over(strides: Sequence[Stride], name: str, sigmas: Sequence[float] = ()) ->
     return Measured(values, float(np.mean(known)) if known else 0.0)
 
 
-LEAST_REPEATS: Final = 2
-"""Fewest repetitions in each trial by which trials are measured by default."""
+LEAST_REPEATS: Final = 2  #: Fewest repetitions in each trial by which trials are measured by default
 
 
 def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[Movement, str, str, dict[str, str]]:

@@ -16,8 +16,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 
-Shape = Sequence[int | str]
-"""Lengths of the axes; a letter matches any length."""
+Shape = Sequence[int | str]  #: Lengths of the axes; a letter matches any length
 
 
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
@@ -110,18 +109,12 @@ class Verdict(Enum):
 class Check:
     """One value against its limit."""
 
-    name: str
-    """Checked quantity."""
-    subject: str
-    """Take, sensor, camera or bone that is checked."""
-    value: float
-    """NaN if it cannot be computed; such a check neither passes nor fails."""
-    limit: float
-    """Largest value that passes."""
-    unit: str
-    """Unit of value and limit."""
-    advice: str = ""
-    """Possible meaning of a failure; of a NaN value, the reason."""
+    name: str  #: Checked quantity
+    subject: str  #: Take, sensor, camera or bone that is checked
+    value: float  #: NaN if it cannot be computed; such a check neither passes nor fails
+    limit: float  #: Largest value that passes
+    unit: str  #: Unit of value and limit
+    advice: str = ""  #: Possible meaning of a failure; of a NaN value, the reason
     likely: Mapping[str, Any] = field(default_factory=dict)
     """Change of the declaration with which the check would pass. It is only reported."""
     cause: str = ""

@@ -9,15 +9,13 @@ Mode = Literal["lift", "sf2", "rto", "rtof", "imu"]
 rtof: SF2, then optimisation on video and IMUs. imu: sensors only, without a camera."""
 Space = Literal["joint", "cartesian"]
 """Variables of the fragment solver: configurations of the skeleton, or joint positions."""
-Backend = Literal["realtime", "ipopt"]
-"""Numerical solver of a fragment."""
+Backend = Literal["realtime", "ipopt"]  #: Numerical solver of a fragment
 Calibrate = Literal["yes", "given", "no"]
 """'yes': from the recording itself. 'given': an earlier calibration of it was applied."""
 Guard = Literal["sides", "person", "samples", "motion"]
 """What is rejected. sides: keypoints with left and right exchanged. person: keypoints of another person.
 samples: stuck and saturated samples of sensors. motion: sensors that contradict the solved motion."""
-Repeated = Literal["squat", "sit_to_stand"]
-"""Movement that is counted."""
+Repeated = Literal["squat", "sit_to_stand"]  #: Movement that is counted
 Compile = Literal["auto", "never"]
 """auto: compile the energy to machine code if a C compiler exists. never: interpret it."""
 

@@ -19,8 +19,7 @@ from typing import Final
 from rtof_kin.core.errors import InvalidInputError
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-USUAL = 1
-"""Default number of threads."""
+USUAL = 1  #: Default number of threads
 
 
 def threads() -> int | None:
@@ -53,8 +52,7 @@ def return_free_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")
-"""Dependencies that compute."""
+PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")  #: Dependencies that compute
 SWITCHES: Final = (
     "OPENBLAS_CORETYPE",
     "NPY_DISABLE_CPU_FEATURES",

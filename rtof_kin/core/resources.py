@@ -7,10 +7,8 @@ from pathlib import Path
 
 from rtof_kin.core.errors import FileFormatError
 
-PACKAGED = Path(__file__).parents[1] / "models"
-"""Models folder of an installed package."""
-CHECKOUT = Path(__file__).parents[2] / "models"
-"""Models folder of a source checkout."""
+PACKAGED = Path(__file__).parents[1] / "models"  #: Models folder of an installed package
+CHECKOUT = Path(__file__).parents[2] / "models"  #: Models folder of a source checkout
 LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt"}
 """Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth."""
 DEFAULT_LIFTER = "detections"

@@ -19,16 +19,11 @@ from rtof_kin.core.errors import InvalidInputError
 class CameraUncertainty:
     """Standard deviations of what is assumed of a camera; 0 for what is known."""
 
-    focal: float = 0.0
-    """[1] Relative, of the focal length."""
-    tilt: float = 0.0
-    """[rad] Each, of pitch and roll: rotations about the camera's x and z axes through its centre."""
-    height: float = 0.0
-    """[m] Of the camera's centre along the world's z axis."""
-    k1: float = 0.0
-    """[1] Of the first radial distortion coefficient."""
-    roll: float | None = None
-    """[rad] Of roll, where it is not that of `tilt`."""
+    focal: float = 0.0  #: [1] Relative, of the focal length
+    tilt: float = 0.0  #: [rad] Each, of pitch and roll: rotations about the camera's x and z axes through its centre
+    height: float = 0.0  #: [m] Of the camera's centre along the world's z axis
+    k1: float = 0.0  #: [1] Of the first radial distortion coefficient
+    roll: float | None = None  #: [rad] Of roll, where it is not that of `tilt`
     of_motion: bool = False
     """Whether floor and posture of the recording were used for it already; only walking narrows it then."""
 
@@ -42,20 +37,13 @@ class CameraUncertainty:
 class Camera:
     """A pinhole camera, fixed in the world."""
 
-    K: Array
-    """(3, 3) intrinsic matrix, px."""
-    R_camera_world: Array
-    """(3, 3) rotation from world to camera axes."""
-    t_camera_world: Array
-    """(3,) world origin in camera coordinates, m: p_camera = R_camera_world p_world + t."""
-    width_px: int
-    """Image width, px."""
-    height_px: int
-    """Image height, px."""
-    distortion: Array = field(default_factory=lambda: np.zeros(5))
-    """(5,) OpenCV's k1, k2, p1, p2, k3."""
-    assumed: tuple[str, ...] = ()
-    """Assumed, not measured, properties in words, e.g. 'focal length', 'pose'."""
+    K: Array  #: (3, 3) intrinsic matrix, px
+    R_camera_world: Array  #: (3, 3) rotation from world to camera axes
+    t_camera_world: Array  #: (3,) world origin in camera coordinates, m: p_camera = R_camera_world p_world + t
+    width_px: int  #: Image width, px
+    height_px: int  #: Image height, px
+    distortion: Array = field(default_factory=lambda: np.zeros(5))  #: (5,) OpenCV's k1, k2, p1, p2, k3
+    assumed: tuple[str, ...] = ()  #: Assumed, not measured, properties in words, e.g. 'focal length', 'pose'.
     uncertainty: CameraUncertainty | None = None
     """Of an uncalibrated camera, whose unknowns `reconstruct` estimates; None where it is calibrated."""
     stabilised: bool = False
@@ -165,12 +153,9 @@ LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
 class CameraTurning:
     """Rotations of a handheld camera about its centre, at the frames of its keypoints."""
 
-    camera: Camera
-    """Camera of the video; its pose is not used."""
-    K_still: Array
-    """(3, 3) intrinsic matrix of the camera that stands still instead, px; it has no distortion."""
-    R_still_camera: Array
-    """(T, 3, 3) axes of the camera to those of the still one; NaN as a whole where unknown."""
+    camera: Camera  #: Camera of the video; its pose is not used
+    K_still: Array  #: (3, 3) intrinsic matrix of the camera that stands still instead, px; it has no distortion
+    R_still_camera: Array  #: (T, 3, 3) axes of the camera to those of the still one; NaN as a whole where unknown
 
     def __post_init__(self) -> None:
         freeze(self, "camera turning", K_still=(3, 3), R_still_camera=("T", 3, 3))

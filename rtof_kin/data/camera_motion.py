@@ -28,18 +28,14 @@ _WIDEST: Final = np.radians(65.0)  # from the still camera's axis; pixels are st
 class CameraMotion:
     """Orientation of a camera over time, relative to its first."""
 
-    times: Array
-    """(T,) s, on the clock of the keypoints."""
+    times: Array  #: (T,) s, on the clock of the keypoints
     R_first_camera: Array
     """(T, 3, 3) camera axes to those of a fixed orientation, e.g. the first; NaN as a whole where unknown."""
-    sigma: float = 0.0
-    """Standard deviation per axis of each rotation, rad."""
+    sigma: float = 0.0  #: Standard deviation per axis of each rotation, rad
     up_first: Array | None = None
     """(3,) unit vector up in the axes of the fixed orientation, where gravity was measured."""
-    drift: float = 0.0
-    """Standard deviation of a steady drift of the heading, rad/s."""
-    focal_px: float | None = None
-    """Focal length that the rotations were estimated with from images, px."""
+    drift: float = 0.0  #: Standard deviation of a steady drift of the heading, rad/s
+    focal_px: float | None = None  #: Focal length that the rotations were estimated with from images, px
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

@@ -17,31 +17,23 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
-WORLD = "world"
-"""Parent of a segment whose orientation is relative to world."""
-BAND_95 = 1.959964
-"""Half width of a 95 % band in standard deviations."""
+WORLD = "world"  #: Parent of a segment whose orientation is relative to world
+BAND_95 = 1.959964  #: Half width of a 95 % band in standard deviations
 _COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")
-_ROUNDING = 1e-5
-"""Tolerance of symmetry and positive definiteness, relative to the largest variance."""
+_ROUNDING = 1e-5  #: Tolerance of symmetry and positive definiteness, relative to the largest variance
 
 
 @dataclass(frozen=True)
 class Confidence:
     """Covariances of the errors of a motion in every frame; NaN as a whole where unobserved."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    names: tuple[str, ...]
-    """J joint names."""
-    position_covariance: Array
-    """(T, J, 3, 3) of joint positions in world, m^2."""
+    times: Array  #: (T,) seconds, strictly increasing
+    names: tuple[str, ...]  #: J joint names
+    position_covariance: Array  #: (T, J, 3, 3) of joint positions in world, m^2
     relative_covariance: Array
     """(T, J, 3, 3) of joint positions relative to the root, world axes, m^2; zero for the root."""
-    pairs: tuple[tuple[str, str], ...]
-    """P pairs of a parent segment (or `WORLD`) and a child segment, by their joints."""
-    turn_covariance: Array
-    """(T, P, 3, 3) of the child's orientation relative to the parent, child axes, rad^2."""
+    pairs: tuple[tuple[str, str], ...]  #: P pairs of a parent segment (or `WORLD`) and a child segment, by their joints
+    turn_covariance: Array  #: (T, P, 3, 3) of the child's orientation relative to the parent, child axes, rad^2
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

@@ -16,10 +16,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, readonly
 from rtof_kin.core.errors import InvalidInputError
 
-OWN_SYSTEM: Final = "rtof_kin"
-"""Begins the name of the system of a reference that this package made."""
-PERCENT: Final = np.linspace(0.0, 100.0, 51)
-"""Instants of the gait cycle, per cent."""
+OWN_SYSTEM: Final = "rtof_kin"  #: Begins the name of the system of a reference that this package made
+PERCENT: Final = np.linspace(0.0, 100.0, 51)  #: Instants of the gait cycle, per cent
 MODEL_ZERO: Final = "model"
 STANDING_ZERO: Final = "standing"
 """Zeros of the angles: the model's anatomical posture, or each person's own quiet standing."""
@@ -30,12 +28,9 @@ class GaitVariable:
     """One of the nine variables."""
 
     name: str
-    positive: str
-    """The movement that is positive, on the side of the gait cycle."""
-    zero: str
-    """Posture in which it is 0."""
-    largest: float = 180.0
-    """[deg] largest magnitude of a plausible mean."""
+    positive: str  #: The movement that is positive, on the side of the gait cycle
+    zero: str  #: Posture in which it is 0
+    largest: float = 180.0  #: [deg] largest magnitude of a plausible mean
 
     @property
     def label(self) -> str:
@@ -63,32 +58,20 @@ SHAPE: Final = (len(VARIABLES), len(PERCENT))
 class GaitReference:
     """Mean curves of a group of people, and the curves of each of them where these are known."""
 
-    mean: Array
-    """(9, 51) rad, mean over people; NaN as a whole for a variable that the reference does not have."""
-    sd: Array
-    """(9, 51) rad, standard deviation between people; NaN where unknown."""
-    people: int
-    """Number of people."""
-    licence: str
-    """Terms under which the reference may be used."""
-    source: str
-    """Where it is from: a citation, or who recorded whom and how."""
-    system: str
-    """What measured it: `OWN_SYSTEM` and its version, or another system and model."""
-    zero: str = MODEL_ZERO
-    """`MODEL_ZERO`, `STANDING_ZERO`, or that of another system in words."""
+    mean: Array  #: (9, 51) rad, mean over people; NaN as a whole for a variable that the reference does not have
+    sd: Array  #: (9, 51) rad, standard deviation between people; NaN where unknown
+    people: int  #: Number of people
+    licence: str  #: Terms under which the reference may be used
+    source: str  #: Where it is from: a citation, or who recorded whom and how
+    system: str  #: What measured it: `OWN_SYSTEM` and its version, or another system and model
+    zero: str = MODEL_ZERO  #: `MODEL_ZERO`, `STANDING_ZERO`, or that of another system in words
     curves: Array | None = None
     """(N, 2, 9, 51) rad, of every person's right and left cycles; None if only means are known."""
-    names: tuple[str, ...] = ()
-    """N codes of the people with curves."""
-    strides: tuple[tuple[int, int], ...] = ()
-    """N numbers of right and left strides."""
-    speeds: tuple[float, ...] = ()
-    """[m/s] N walking speeds; NaN where unknown, as on a treadmill."""
-    speed_range: tuple[float, float] | None = None
-    """[m/s] slowest and fastest; None if unknown."""
-    notes: tuple[str, ...] = ()
-    """What to know about it, one sentence each."""
+    names: tuple[str, ...] = ()  #: N codes of the people with curves
+    strides: tuple[tuple[int, int], ...] = ()  #: N numbers of right and left strides
+    speeds: tuple[float, ...] = ()  #: [m/s] N walking speeds; NaN where unknown, as on a treadmill
+    speed_range: tuple[float, float] | None = None  #: [m/s] slowest and fastest; None if unknown
+    notes: tuple[str, ...] = ()  #: What to know about it, one sentence each
 
     def __post_init__(self) -> None:
         for name in ("mean", "sd"):

@@ -18,12 +18,10 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnitError
 
-STANDARD_GRAVITY: Final = 9.80665
-"""Standard gravity (CGPM 1901), m/s^2."""
+STANDARD_GRAVITY: Final = 9.80665  #: Standard gravity (CGPM 1901), m/s^2
 GRAVITY_WORLD: Final[Array] = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))
 """Gravity in world, m/s^2. An accelerometer at rest reads its opposite."""
-_ABSURD_ACCELERATION: Final = 1e4
-"""Acceleration beyond any IMU, m/s^2."""
+_ABSURD_ACCELERATION: Final = 1e4  #: Acceleration beyond any IMU, m/s^2
 
 
 class UnitCheck:
@@ -96,14 +94,10 @@ def _check_unit(name: str, norm: Array, turned: Array) -> None:
 class ImuSequence:
     """Orientation and specific force of IMUs, as measured."""
 
-    times: Array
-    """(T,) seconds, on the clock of the keypoints, strictly increasing."""
-    R_inertial_sensor: Array
-    """(T, S, 3, 3); NaN as a whole where missing."""
-    f_sensor: Array
-    """(T, S, 3) specific force in sensor axes, m/s^2, gravity included; NaN where missing."""
-    names: tuple[str, ...]
-    """S sensor names."""
+    times: Array  #: (T,) seconds, on the clock of the keypoints, strictly increasing
+    R_inertial_sensor: Array  #: (T, S, 3, 3); NaN as a whole where missing
+    f_sensor: Array  #: (T, S, 3) specific force in sensor axes, m/s^2, gravity included; NaN where missing
+    names: tuple[str, ...]  #: S sensor names
     unit_checked: bool = field(default=False, repr=False)
     """Whether it is part of a longer sequence on which the unit of `f_sensor` was checked."""
 
@@ -180,16 +174,11 @@ class ImuSequence:
 class BoneImuSequence:
     """Calibrated IMUs: orientation of their segments, acceleration in world."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    R_world_bone: Array
-    """(T, S, 3, 3) orientation of the segment's link frame; NaN as a whole where missing."""
-    a_world: Array
-    """(T, S, 3) acceleration of the sensor in world, gravity removed, m/s^2; NaN where missing."""
-    p_bone_sensor: Array
-    """(S, 3) lever arm: position of the sensor in the segment's link frame, m."""
-    joints: tuple[str, ...]
-    """S segments that carry the sensors, by their proximal joint."""
+    times: Array  #: (T,) seconds, strictly increasing
+    R_world_bone: Array  #: (T, S, 3, 3) orientation of the segment's link frame; NaN as a whole where missing
+    a_world: Array  #: (T, S, 3) acceleration of the sensor in world, gravity removed, m/s^2; NaN where missing
+    p_bone_sensor: Array  #: (S, 3) lever arm: position of the sensor in the segment's link frame, m
+    joints: tuple[str, ...]  #: S segments that carry the sensors, by their proximal joint
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -289,16 +278,11 @@ class ImuCalibration:
     here g points down and is added.
     """
 
-    sensors: tuple[str, ...]
-    """S sensor names."""
-    joints: tuple[str, ...]
-    """S segments that carry them, by their proximal joint."""
-    R_world_inertial: Array
-    """(S, 3, 3) from each sensor's gravity-aligned reference to world."""
-    R_sensor_bone: Array
-    """(S, 3, 3) from the segment's link frame to sensor axes."""
-    p_bone_sensor: Array
-    """(S, 3) lever arm: position of the sensor in the link frame, m."""
+    sensors: tuple[str, ...]  #: S sensor names
+    joints: tuple[str, ...]  #: S segments that carry them, by their proximal joint
+    R_world_inertial: Array  #: (S, 3, 3) from each sensor's gravity-aligned reference to world
+    R_sensor_bone: Array  #: (S, 3, 3) from the segment's link frame to sensor axes
+    p_bone_sensor: Array  #: (S, 3) lever arm: position of the sensor in the link frame, m
     mounting_sd_deg: Array | None = None
     """(S,) standard deviation of R_sensor_bone about each axis, deg; NaN, or None for all: not stated."""
 

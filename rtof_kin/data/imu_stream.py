@@ -41,18 +41,15 @@ class Declaration:
     """
 
     acceleration_unit: AccelerationUnit = "m/s2"
-    gravity: Gravity = "included"
-    """'included': 9.81 upwards at rest. 'removed': 0 at rest."""
+    gravity: Gravity = "included"  #: 'included': 9.81 upwards at rest. 'removed': 0 at rest.
     acceleration_axes: AccelerationAxes = "sensor"
     """Axes of accelerations; 'inertial': those of the sensor's own reference."""
     angular_unit: AngularUnit = "rad/s"
     quaternion_order: QuaternionOrder = "wxyz"
     orientation_maps: OrientationMaps = "sensor to inertial"
     """Direction of the orientation; 'sensor to inertial' is R_inertial_sensor."""
-    inertial_axes: InertialAxes = "z up"
-    """'z up': ENU, NWU. 'z down': NED. 'y up': as in computer graphics."""
-    rate_hz: float | None = None
-    """Sampling rate, Hz; None: from time stamps or the header."""
+    inertial_axes: InertialAxes = "z up"  #: 'z up': ENU, NWU. 'z down': NED. 'y up': as in computer graphics.
+    rate_hz: float | None = None  #: Sampling rate, Hz; None: from time stamps or the header
 
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
@@ -198,12 +195,9 @@ class StreamFault:
     """A fault of a stream over an interval."""
 
     kind: FaultKind
-    what: str
-    """Segment of the sensor, or the keypoints, e.g. those of the legs."""
-    start: float
-    """Time of the first affected sample, s."""
-    stop: float
-    """Time of the last one, s."""
+    what: str  #: Segment of the sensor, or the keypoints, e.g. those of the legs.
+    start: float  #: Time of the first affected sample, s
+    stop: float  #: Time of the last one, s
 
     def __post_init__(self) -> None:
         if not self.start <= self.stop:
@@ -221,20 +215,14 @@ class SensorStream:
     """
 
     name: str
-    times: Array
-    """(T,) s on the file's clock, strictly increasing."""
-    f_sensor: Array | None = None
-    """(T, 3) specific force in sensor axes, m/s^2: 9.81 upwards at rest."""
+    times: Array  #: (T,) s on the file's clock, strictly increasing
+    f_sensor: Array | None = None  #: (T, 3) specific force in sensor axes, m/s^2: 9.81 upwards at rest
     R_inertial_sensor: Array | None = None
     """(T, 3, 3) orientation in a reference with z up; NaN as a whole where missing."""
-    w_sensor: Array | None = None
-    """(T, 3) angular velocity in sensor axes, rad/s."""
-    m_sensor: Array | None = None
-    """(T, 3) magnetic field in sensor axes, in the manufacturer's unit."""
-    quaternion_norm: Array | None = None
-    """(T,) norm of the quaternions in the file; None without quaternions."""
-    notes: tuple[str, ...] = ()
-    """Remarks for the user, e.g. lost packets, estimated orientation."""
+    w_sensor: Array | None = None  #: (T, 3) angular velocity in sensor axes, rad/s
+    m_sensor: Array | None = None  #: (T, 3) magnetic field in sensor axes, in the manufacturer's unit
+    quaternion_norm: Array | None = None  #: (T,) norm of the quaternions in the file; None without quaternions
+    notes: tuple[str, ...] = ()  #: Remarks for the user, e.g. lost packets, estimated orientation.
 
     def __post_init__(self) -> None:
         set_, where = object.__setattr__, f"sensor {self.name}"
@@ -297,13 +285,10 @@ class SensorLog:
     """Sensors of a file or folder."""
 
     path: Path
-    format: str
-    """Format in words."""
+    format: str  #: Format in words
     streams: tuple[SensorStream, ...]
-    declaration: Declaration
-    """Units and conventions of the file."""
-    file_notes: tuple[str, ...] = ()
-    """Remarks on the file as a whole."""
+    declaration: Declaration  #: Units and conventions of the file
+    file_notes: tuple[str, ...] = ()  #: Remarks on the file as a whole
     start_utc: datetime | None = None
     """Date and time of the earliest sample, with its zone UTC; None where the file does not state it."""
 

@@ -20,10 +20,8 @@ from rtof_kin.data.camera import Camera, CameraTurning
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
 
-_OF: Final = ":"
-"""Between a layout and its point."""
-_LONGEST_GAP: Final = 1.5
-"""[frames] between detections that are interpolated."""
+_OF: Final = ":"  #: Between a layout and its point
+_LONGEST_GAP: Final = 1.5  #: [frames] between detections that are interpolated
 
 
 def detector_point(layout: str, point: str) -> str:
@@ -41,16 +39,11 @@ def layout_and_point(name: str) -> tuple[str, str]:
 class KeypointSequence:
     """2D landmarks of one person seen by one camera."""
 
-    camera: Camera
-    """Camera of the video."""
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    uv_px: Array
-    """(T, L, 2) pixels; NaN where not detected."""
-    confidence: Array
-    """(T, L) in [0, 1]; 0 where not detected."""
-    names: tuple[str, ...]
-    """L names of landmarks and of the detector's own points."""
+    camera: Camera  #: Camera of the video
+    times: Array  #: (T,) seconds, strictly increasing
+    uv_px: Array  #: (T, L, 2) pixels; NaN where not detected
+    confidence: Array  #: (T, L) in [0, 1]; 0 where not detected
+    names: tuple[str, ...]  #: L names of landmarks and of the detector's own points
     own_times: Array | None = None
     """(T,) seconds since the first frame of the video, where `times` are those of another clock."""
     turning: CameraTurning | None = None
@@ -193,14 +186,11 @@ class KeypointSequence:
 class Measurements:
     """Detected points, measured orientations and reference of a motion; what is absent is empty or None."""
 
-    times: Array
-    """(T,) s, those of the motion."""
+    times: Array  #: (T,) s, those of the motion
     views: tuple[KeypointSequence, ...] = ()
     """Landmarks of the skeleton seen by each camera at these times, and the cameras as calibrated."""
-    sensors: tuple[str, ...] = ()
-    """S names of the sensors."""
-    segments: tuple[str, ...] = ()
-    """S segments that carry them, by their proximal joint."""
+    sensors: tuple[str, ...] = ()  #: S names of the sensors
+    segments: tuple[str, ...] = ()  #: S segments that carry them, by their proximal joint
     R_world_sensor: Array = field(default_factory=lambda: np.empty((0, 0, 3, 3)))
     """(T, S, 3, 3) measured orientation of the sensors in world, as calibrated; NaN as a whole where missing
     or rejected."""
@@ -208,12 +198,9 @@ class Measurements:
     """(S, 3, 3) mounting: sensor axes to those of the segment's link frame."""
     p_bone_sensor: Array = field(default_factory=lambda: np.empty((0, 3)))
     """(S, 3) position of the sensors in the segment's link frame, m."""
-    truth: PoseSequence | None = None
-    """Known poses at these times."""
-    faults: tuple[StreamFault, ...] = ()
-    """Faults of keypoints and sensors, and how they were handled."""
-    floor_height: float | None = None
-    """z of a flat floor in world, m."""
+    truth: PoseSequence | None = None  #: Known poses at these times
+    faults: tuple[StreamFault, ...] = ()  #: Faults of keypoints and sensors, and how they were handled
+    floor_height: float | None = None  #: z of a flat floor in world, m
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

@@ -72,14 +72,10 @@ def _not_given() -> Any:
 class PoseSequence:
     """Joint positions and segment orientations of one person in world."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    p_world_joint: Array
-    """(T, J, 3) m; NaN where missing."""
-    R_world_bone: Array
-    """(T, J, 3, 3) orientation of each joint's segment; NaN where missing."""
-    names: tuple[str, ...]
-    """J joint names."""
+    times: Array  #: (T,) seconds, strictly increasing
+    p_world_joint: Array  #: (T, J, 3) m; NaN where missing
+    R_world_bone: Array  #: (T, J, 3, 3) orientation of each joint's segment; NaN where missing
+    names: tuple[str, ...]  #: J joint names
     provenance: NDArray[np.uint8] = field(default_factory=_not_given)
     """(T, J) `Provenance` of each joint. Default: NOBODY."""
     valid: Mask = field(default_factory=_not_given)

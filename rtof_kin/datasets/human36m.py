@@ -33,8 +33,7 @@ from rtof_kin.recording.recording import Recording
 
 SUBJECTS_TRAIN = ("S1", "S5", "S6", "S7", "S8")
 SUBJECTS_TEST = ("S9", "S11")
-RATE_HZ = 50.0
-"""Sampling rate of positions and video, Hz."""
+RATE_HZ = 50.0  #: Sampling rate of positions and video, Hz
 _LIMIT_GT_PX, _LIMIT_DETECTED_PX = 3.0, 30.0
 """Largest median reprojection error of a recording with projected and with detected keypoints, px."""
 ACKNOWLEDGEMENT = (
@@ -43,8 +42,7 @@ ACKNOWLEDGEMENT = (
 )
 _PLAUSIBLE_THIGH = (0.2, 0.7)
 _CHECKED_FRAMES = 20
-_FRAMES = 4000
-"""Number of frames, evenly spread, from which the shape of a segment is estimated."""
+_FRAMES = 4000  #: Number of frames, evenly spread, from which the shape of a segment is estimated
 _ROUNDS, _CONVERGED = 50, 1e-9
 _shipped = cache(SkeletonModel.human36m)
 
@@ -53,16 +51,11 @@ _shipped = cache(SkeletonModel.human36m)
 class ActionMotion:
     """Positions of one action of one subject."""
 
-    subject: str
-    """'S1' to 'S11'."""
-    action: str
-    """Name in the archive, e.g. 'Directions 1'."""
-    p_world_joint: Array
-    """(T, 17, 3) m, world z up; NaN where unknown."""
-    joint_offsets: Array
-    """(17, 3) m, the same in all of the subject's actions; see `measured_offsets`."""
-    rate_hz: float = RATE_HZ
-    """Frames per second."""
+    subject: str  #: 'S1' to 'S11'
+    action: str  #: Name in the archive, e.g. 'Directions 1'.
+    p_world_joint: Array  #: (T, 17, 3) m, world z up; NaN where unknown
+    joint_offsets: Array  #: (17, 3) m, the same in all of the subject's actions; see `measured_offsets`
+    rate_hz: float = RATE_HZ  #: Frames per second
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__

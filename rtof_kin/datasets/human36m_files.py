@@ -18,14 +18,11 @@ from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_json, measurable, read_text
 from rtof_kin.data.camera import Camera
 
-CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")
-"""Serial numbers of cameras 0 to 3."""
-_SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))
-"""Width and height of their images, px."""
+CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")  #: Serial numbers of cameras 0 to 3
+_SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))  #: Width and height of their images, px
 _TABLES = ("h36m_cameras_intrinsic_params", "h36m_cameras_extrinsic_params")
 _LARGEST_FILE = 2**22
-_PLAUSIBLE_DISTANCE = (1.0, 30.0)
-"""Range of the distance of a camera from the world's origin, m."""
+_PLAUSIBLE_DISTANCE = (1.0, 30.0)  #: Range of the distance of a camera from the world's origin, m
 
 
 def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
@@ -184,8 +181,7 @@ def _camera(
 
 JOINTS_OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 """Indices of the skeleton table's 17 joints among the archive's 32."""
-_CAMERA_FILES: Final = ("camera-parameters.json", "h36m_dataset.py")
-"""Default names of the file of cameras."""
+_CAMERA_FILES: Final = ("camera-parameters.json", "h36m_dataset.py")  #: Default names of the file of cameras
 _SYMMETRY = [[4, 5, 6, 11, 12, 13], [1, 2, 3, 14, 15, 16]]
 
 

@@ -25,24 +25,19 @@ from rtof_kin.formats.opensim import OpenSimTable
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
-MOVEMENTS: Final[tuple[Movement, ...]] = get_args(Movement)
-"""Classes of movement, in the order of tables."""
+MOVEMENTS: Final[tuple[Movement, ...]] = get_args(Movement)  #: Classes of movement, in the order of tables
 
 
 @dataclass(frozen=True)
 class Take:
     """One trial of one person, seen by one camera or by none."""
 
-    key: str
-    """Name in the set and of files, without separators of folders."""
+    key: str  #: Name in the set and of files, without separators of folders
     subject: str
-    movement: str
-    """The set's own name of it."""
+    movement: str  #: The set's own name of it
     kind: Movement
-    folder: Path
-    """Where most of its files are."""
-    camera: str = ""
-    """The set's name of the camera; '' without one."""
+    folder: Path  #: Where most of its files are
+    camera: str = ""  #: The set's name of the camera; '' without one
 
 
 @dataclass(frozen=True)
@@ -50,24 +45,18 @@ class TakeInputs:
     """Files and measurements that a recording is made from."""
 
     video: Path | None = None
-    span: tuple[float, float] | None = None
-    """[s] part of the video that is the take; None for all of it."""
+    span: tuple[float, float] | None = None  #: [s] part of the video that is the take; None for all of it
     size_px: tuple[int, int] | None = None
     """Width and height of the image, where the set states it; else the video does."""
-    rate_hz: float | None = None
-    """Frames per second of detections without times; else the video states it."""
+    rate_hz: float | None = None  #: Frames per second of detections without times; else the video states it
     camera: Path | Camera | None = None
     """Calibration: a file of `rtof_kin.formats.cameras`, or the camera; None where the set has none."""
-    sensors: SensorLog | None = None
-    """Sensors in a reference with z up, on a clock of their own."""
+    sensors: SensorLog | None = None  #: Sensors in a reference with z up, on a clock of their own
     places: Mapping[str, str] = field(default_factory=dict)
     """Sensor -> segment, in names of `rtof_kin.inertial.segment_names`."""
-    pose: str = ""
-    """Pose of the person at `still`: 'T', 'N'; '' if none is documented."""
-    still: tuple[float, float] | None = None
-    """[s] when the pose was held, on the sensors' clock."""
-    height: float | None = None
-    """Standing height, m."""
+    pose: str = ""  #: Pose of the person at `still`: 'T', 'N'; '' if none is documented
+    still: tuple[float, float] | None = None  #: [s] when the pose was held, on the sensors' clock
+    height: float | None = None  #: Standing height, m
 
 
 @dataclass(frozen=True)
@@ -77,28 +66,21 @@ class Truth:
     table: OpenSimTable
     coordinates: tuple[str, ...]
     """Coordinates that were measured in this take; others of the table are the model's default."""
-    source: str
-    """How it was made, in words."""
+    source: str  #: How it was made, in words
     of_sensors: bool = False
     """Whether it was computed from the sensors of the take, so that it is no reference for them."""
-    reach: float = 1.0
-    """[s] largest difference of the clocks of take and reference that is searched."""
+    reach: float = 1.0  #: [s] largest difference of the clocks of take and reference that is searched
 
 
 class PublicSet(ABC):
     """Adapter of one data set."""
 
-    name: ClassVar[str]
-    """On the command line."""
+    name: ClassVar[str]  #: On the command line
     title: ClassVar[str]
-    mode: ClassVar[Mode]
-    """Mode of reconstruction whose inputs the set has, see `rtof_kin.core.choices`."""
-    caution: ClassVar[str] = ""
-    """What its reference cannot show; '' if nothing."""
-    layout: ClassVar[str]
-    """Where its files are."""
-    archive: ClassVar[str]
-    """What is unpacked into the folder."""
+    mode: ClassVar[Mode]  #: Mode of reconstruction whose inputs the set has, see `rtof_kin.core.choices`
+    caution: ClassVar[str] = ""  #: What its reference cannot show; '' if nothing
+    layout: ClassVar[str]  #: Where its files are
+    archive: ClassVar[str]  #: What is unpacked into the folder
 
     def __init__(self, root: Path):
         """Take the folder of the set, or one above; raises FileFormatError where there is none."""

@@ -66,8 +66,7 @@ SEGMENTS: Final = {
     "calcn_l": "left foot",
 }
 """Body of OpenSim in the metadata -> segment; the right foot's second sensor, on the toes, is left out."""
-POSE_SECONDS: Final = 1.0
-"""[s] of the T-pose from `start_ts` on that are used."""
+POSE_SECONDS: Final = 1.0  #: [s] of the T-pose from `start_ts` on that are used
 _QUATERNION: Final = re.compile(r"(.+)_Q([WXYZ])")
 _MARKER: Final = re.compile(r"(.+)_([XYZ])_\[mm\]")
 _MARKERS: Final[dict[str, tuple[str, ...]]] = {
@@ -234,8 +233,7 @@ _ARMS: Final = ("elbow_flex_r", "elbow_flex_l", "pro_sup_r", "pro_sup_l")
 _COLUMNS: Final = ("QUAT", "w", "x", "y", "z", "timestamp")
 _TRIAL: Final = re.compile(r"(S\d{2})_(A\d{2})_(T\d{2})")
 _RATE_HZ: Final = 50.0
-_OF_POSE: Final = 2
-"""Rows of the reference that belong to the N-pose, as the set's own scripts leave them out."""
+_OF_POSE: Final = 2  #: Rows of the reference that belong to the N-pose, as the set's own scripts leave them out
 
 
 class Vidimu(PublicSet):

@@ -54,8 +54,7 @@ ACKNOWLEDGEMENT = (
     "Total Capture: M. Trumble, A. Gilbert, C. Malleson, A. Hilton, J. Collomosse, 'Total Capture: 3D "
     "Human Pose Estimation Fusing Video and Inertial Sensors', BMVC 2017. Research use only."
 )
-_STAMP_FRAMES = 10
-"""First frames, in which a foot may be stamped while the pose is constant."""
+_STAMP_FRAMES = 10  #: First frames, in which a foot may be stamped while the pose is constant
 _NEEDED = {
     "positions": "positions (gt_skel_gbl_pos.txt)",
     "orientations": "orientations (gt_skel_gbl_ori.txt)",
@@ -70,27 +69,19 @@ _NEEDED = {
 class Take:
     """One take: reference poses, sensors and cameras."""
 
-    subject: str
-    """S1 to S5."""
-    name: str
-    """Such as acting3."""
-    truth: PoseSequence
-    """Poses at 60 Hz from time 0; not `valid` where the reference has a known glitch."""
-    joint_offsets: Array
-    """(J, 3) each joint in its parent's link frame, m, measured in this take."""
-    spread_mm: float
-    """Largest standard deviation of an offset, mm; NaN where orientations were derived."""
+    subject: str  #: S1 to S5
+    name: str  #: Such as acting3
+    truth: PoseSequence  #: Poses at 60 Hz from time 0; not `valid` where the reference has a known glitch
+    joint_offsets: Array  #: (J, 3) each joint in its parent's link frame, m, measured in this take
+    spread_mm: float  #: Largest standard deviation of an offset, mm; NaN where orientations were derived
     imus: ImuSequence | None
     """The calibrated sensors; None where there are none. The acceleration of the first ten frames, in which
     a foot may be stamped, is NaN."""
     calibration: ImuCalibration | None
     """Calibration of those sensors, from the take's files; lever arms are those of the skeleton table."""
-    cameras: Mapping[int, Camera]
-    """By number, 1 to 8; empty without a camera calibration."""
-    missing: tuple[str, ...]
-    """Missing files."""
-    notes: tuple[str, ...]
-    """Derived, repaired and omitted data."""
+    cameras: Mapping[int, Camera]  #: By number, 1 to 8; empty without a camera calibration
+    missing: tuple[str, ...]  #: Missing files
+    notes: tuple[str, ...]  #: Derived, repaired and omitted data
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
@@ -325,18 +316,13 @@ def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: lis
     return R
 
 
-_T_POSE_DEG: Final = 25.0
-"""Largest angle of a limb from the T-pose, deg; subjects are up to 20 deg off."""
+_T_POSE_DEG: Final = 25.0  #: Largest angle of a limb from the T-pose, deg; subjects are up to 20 deg off
 _FACING_DEG: Final = 45.0
-_HEIGHT, _HEIGHT_RANGE = 1.7, 0.5
-"""Standing height of an adult and its largest deviation, m."""
-_ACCELERATION: Final = 0.5
-"""Largest mean over a take of acceleration minus gravity and the reference's, m/s^2."""
-_IMU_DEG: Final = 15.0
-"""Largest median angle between a sensor's segment and the reference's, deg."""
+_HEIGHT, _HEIGHT_RANGE = 1.7, 0.5  #: Standing height of an adult and its largest deviation, m
+_ACCELERATION: Final = 0.5  #: Largest mean over a take of acceleration minus gravity and the reference's, m/s^2
+_IMU_DEG: Final = 15.0  #: Largest median angle between a sensor's segment and the reference's, deg
 _REPROJECTION_PX: Final = 20.0
-_BIAS_PX: Final = {2: float(np.hypot(20, -8))}
-"""Known error of detections on a miscalibrated camera's video, px."""
+_BIAS_PX: Final = {2: float(np.hypot(20, -8))}  #: Known error of detections on a miscalibrated camera's video, px
 _T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftLeg", "LeftFoot")
 """Child joints of the limb bones that make a T-pose."""
 

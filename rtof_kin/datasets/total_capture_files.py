@@ -56,11 +56,9 @@ _log = logging.getLogger(__name__)
 _TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
 _SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
 _SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
-_NAMES_OF_A_FOLDER = 4
-"""Maximum number of paths (by symbolic links) under which a folder is searched."""
+_NAMES_OF_A_FOLDER = 4  #: Maximum number of paths (by symbolic links) under which a folder is searched
 
-Take = tuple[str, str]
-"""Subject and take, e.g. ('S5', 'acting3')."""
+Take = tuple[str, str]  #: Subject and take, e.g. ('S5', 'acting3').
 
 
 @dataclass(frozen=True)
@@ -68,12 +66,9 @@ class FileIndex:
     """All files of the dataset that were found."""
 
     root: Path
-    files: dict[Take, dict[str, list[Path]]] = field(default_factory=dict)
-    """Candidates by take and kind."""
-    cameras: list[Path] = field(default_factory=list)
-    """Candidates for the camera calibration."""
-    unassigned: list[Path] = field(default_factory=list)
-    """Files whose name and folders do not give subject and take."""
+    files: dict[Take, dict[str, list[Path]]] = field(default_factory=dict)  #: Candidates by take and kind
+    cameras: list[Path] = field(default_factory=list)  #: Candidates for the camera calibration
+    unassigned: list[Path] = field(default_factory=list)  #: Files whose name and folders do not give subject and take
 
     def one(self, take: Take, kind: str) -> Path | None:
         """Return the file of one of `KINDS`, or None; raises FileFormatError: there are several, and they differ."""

@@ -29,10 +29,8 @@ WORLD_OF_VICON = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from the dataset's y-up world to the z-up one."""
 SEGMENT_OF_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 """Rotation from a bone (link) frame to the dataset's segment frame; its own inverse."""
-RIGID_MM = 1.0
-"""Largest spread of joint offsets of a rigid skeleton, mm."""
-_LENGTH_DIFFERENCE: Final = 5
-"""Largest difference in length of files of one take, frames; the shorter one counts."""
+RIGID_MM = 1.0  #: Largest spread of joint offsets of a rigid skeleton, mm
+_LENGTH_DIFFERENCE: Final = 5  #: Largest difference in length of files of one take, frames; the shorter one counts
 _SAME_MM = 5.0
 _SAME_BONES_MM = 1.0
 _QUARTER_TURNS_DEG = 10.0
@@ -42,8 +40,7 @@ _GLITCHES = {
     ("S2", "acting2"): ((2124, 2129),),
 }
 """First and last frames of glitches of the reference, by take."""
-_MARGIN = 2
-"""Frames beside a glitch that are invalid too."""
+_MARGIN = 2  #: Frames beside a glitch that are invalid too
 
 
 @dataclass(frozen=True)
@@ -51,10 +48,8 @@ class Truth:
     """Ground truth of a take."""
 
     poses: PoseSequence
-    joint_offsets: Array
-    """(J, 3) each joint in its parent's link frame, m."""
-    spread_mm: float
-    """Largest standard deviation of an offset over the take, mm; NaN for derived orientations."""
+    joint_offsets: Array  #: (J, 3) each joint in its parent's link frame, m
+    spread_mm: float  #: Largest standard deviation of an offset over the take, mm; NaN for derived orientations
     notes: tuple[str, ...]
 
 

@@ -22,25 +22,17 @@ class ArticulatedMotion:
     to the file's world.
     """
 
-    names: tuple[str, ...]
-    """J joint names; parents before children."""
-    parents: tuple[int, ...]
-    """J indices of the parent joint; -1 for the root, which is first."""
-    offsets: Array
-    """(J, 3) position of each joint in its parent's frame, file units; root row as in the file."""
-    R_parent_joint: Array
-    """(T, J, 3, 3) rotation of each joint's frame in its parent's; of the root, in the world."""
-    p_root: Array
-    """(T, 3) position of the root joint in the file's world, file units."""
-    rate_hz: float
-    """Frames per second."""
-    unit_m: float | None = None
-    """Metres per unit of length; None where the format does not state it."""
+    names: tuple[str, ...]  #: J joint names; parents before children
+    parents: tuple[int, ...]  #: J indices of the parent joint; -1 for the root, which is first
+    offsets: Array  #: (J, 3) position of each joint in its parent's frame, file units; root row as in the file
+    R_parent_joint: Array  #: (T, J, 3, 3) rotation of each joint's frame in its parent's; of the root, in the world
+    p_root: Array  #: (T, 3) position of the root joint in the file's world, file units
+    rate_hz: float  #: Frames per second
+    unit_m: float | None = None  #: Metres per unit of length; None where the format does not state it
     p_parent_joint: Array | None = None
     """(T, J, 3) file units: positions of joints that move in their parent's frame; None where `offsets`
     holds at all times."""
-    end_parents: tuple[int, ...] = ()
-    """E indices of the joints that end sites are fixed to."""
+    end_parents: tuple[int, ...] = ()  #: E indices of the joints that end sites are fixed to
     end_offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(E, 3) position of each end site in its joint's frame, file units."""
 
@@ -119,7 +111,5 @@ class ArticulatedMotion:
 class ArticulatedFrames:
     """The frames of a file, of which motions are made as they are needed."""
 
-    length: int
-    """Number of frames."""
-    motion: Callable[[slice], ArticulatedMotion]
-    """Motion of some frames."""
+    length: int  #: Number of frames
+    motion: Callable[[slice], ArticulatedMotion]  #: Motion of some frames

@@ -23,8 +23,7 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
 
-Lines = list[tuple[int, str]]
-"""Numbered lines that are neither empty nor comments."""
+Lines = list[tuple[int, str]]  #: Numbered lines that are neither empty nor comments
 _INCH: Final = 0.0254
 _ANGLE_UNITS: Final = {"deg": np.pi / 180, "degrees": np.pi / 180, "rad": 1.0, "radians": 1.0}
 _ROOT: Final = "root"

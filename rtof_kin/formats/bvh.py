@@ -21,8 +21,7 @@ from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
 
-Row = tuple[int, str]
-"""Number of a line, from 1, and its text."""
+Row = tuple[int, str]  #: Number of a line, from 1, and its text
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
 
 

@@ -83,10 +83,8 @@ def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = Fals
 
 
 _TURNING: Final = ("R_still_camera", "K_still", "video_K", "video_distortion")
-VIDEO_AXES: Final = {"video_times": 1, "R_still_camera": 3}
-"""Number of axes of arrays with a row for each frame."""
-VIDEO_CONSTANTS: Final = ("K_still", "video_K", "video_distortion")
-"""Arrays of the whole video."""
+VIDEO_AXES: Final = {"video_times": 1, "R_still_camera": 3}  #: Number of axes of arrays with a row for each frame
+VIDEO_CONSTANTS: Final = ("K_still", "video_K", "video_distortion")  #: Arrays of the whole video
 VIDEO_ARRAYS: Final = (*VIDEO_AXES, *VIDEO_CONSTANTS)
 
 

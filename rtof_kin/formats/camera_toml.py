@@ -32,8 +32,7 @@ from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.world_axes import world_of_file
 
-FURTHEST: Final = 100.0
-"""A camera further than this from the origin, m, is in another unit."""
+FURTHEST: Final = 100.0  #: A camera further than this from the origin, m, is in another unit
 
 
 _LENS: Final = (

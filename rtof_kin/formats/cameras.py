@@ -50,8 +50,7 @@ from rtof_kin.formats.world_axes import UP, world_of_file
 
 MILLIMETRE: Final = 0.001
 USUAL_NAME: Final = "cameraIntrinsicsExtrinsics"
-_LARGEST_PICKLE: Final = 2**20
-"""Largest file that is read, bytes; OpenCap's have about one thousand."""
+_LARGEST_PICKLE: Final = 2**20  #: Largest file that is read, bytes; OpenCap's have about one thousand
 _LARGEST_TILT: Final = np.radians(35.0)
 """Largest angle between the image's upward direction and the axis of the board that is taken as up."""
 _SIZES: Final = {"intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3}
@@ -111,8 +110,7 @@ def _upward(path: Path, R_camera_file: Array) -> str:
     return best
 
 
-LARGEST_BYTES: Final = 4 * 2**20
-"""Largest file that is read, bytes."""
+LARGEST_BYTES: Final = 4 * 2**20  #: Largest file that is read, bytes
 _DEEPEST: Final = 12
 _NAMES: Final = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "M", "mtx", "intrinsic_matrix", "intrinsics"),
@@ -126,8 +124,7 @@ _NAMES: Final = {
     "name": ("camera_name", "name"),
 }
 """Accepted names of the entries. 'pose' is 3 x 4 or 4 x 4, [R T]; 'size' is width, height."""
-MATRIX_NAMES: Final = _NAMES["matrix"]
-"""Names of the entry that every camera has."""
+MATRIX_NAMES: Final = _NAMES["matrix"]  #: Names of the entry that every camera has
 
 
 def read_opencv_yaml(

@@ -32,8 +32,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import Declaration
 from rtof_kin.formats.sensors.readings import Readings
 
-_S: Final = r"[\s_./:-]"
-"""Separators within a label."""
+_S: Final = r"[\s_./:-]"  #: Separators within a label
 _ACCELERATIONS: Final = ("acceleration", "free", "linear")
 """Quantities that an acceleration comes from, in order of preference."""
 _KINDS: Final = {
@@ -80,8 +79,7 @@ _POINT_ENDINGS: Final = {
     "_c": "c",
     "_v": "c",
 }
-POINT_ENDINGS: Final = tuple(_POINT_ENDINGS)
-"""Endings of the names of a point's columns."""
+POINT_ENDINGS: Final = tuple(_POINT_ENDINGS)  #: Endings of the names of a point's columns
 _NUMBERED_POINT: Final = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
 _PIXELS: Final = ("", "px", "pixel", "pixels")
 
@@ -93,14 +91,10 @@ class SensorChannels:
     """Columns of one sensor; None where the stream lacks the quantity."""
 
     name: str
-    quaternions: Columns | None
-    """(4,) in the declared order."""
-    acceleration: Columns | None
-    """(3,)"""
-    gyroscope: Columns | None
-    """(3,)"""
-    magnetometer: Columns | None
-    """(3,)"""
+    quaternions: Columns | None  #: (4,) in the declared order
+    acceleration: Columns | None  #: (3,)
+    gyroscope: Columns | None  #: (3,)
+    magnetometer: Columns | None  #: (3,)
 
     def readings(self, times: Array, values: Array) -> Readings:
         """Return this sensor's readings of the stream's values (T, C) at times (T,), s."""
@@ -115,13 +109,10 @@ class SensorChannels:
 class StreamChannels:
     """Inertial sensors of one stream."""
 
-    count: int
-    """Number of channels."""
+    count: int  #: Number of channels
     sensors: tuple[SensorChannels, ...]
-    declaration: Declaration
-    """Units and conventions of the numbers."""
-    notes: tuple[str, ...]
-    """Remarks for the user, in sentences."""
+    declaration: Declaration  #: Units and conventions of the numbers
+    notes: tuple[str, ...]  #: Remarks for the user, in sentences
 
     @classmethod
     def of(
@@ -165,10 +156,8 @@ class _Sorted:
 
     stream: str
     labels: tuple[str, ...]
-    found: Mapping[tuple[str, str], dict[str, int]]
-    """(sensor, quantity) -> axis -> column."""
-    left: tuple[str, ...]
-    """Labels that are none of these."""
+    found: Mapping[tuple[str, str], dict[str, int]]  #: (sensor, quantity) -> axis -> column
+    left: tuple[str, ...]  #: Labels that are none of these
 
     @classmethod
     def of(cls, stream: str, labels: Sequence[str], types: Sequence[str]) -> _Sorted:
@@ -281,14 +270,10 @@ def _some(names: Sequence[str]) -> str:
 class PointChannels:
     """Detected points of one stream."""
 
-    count: int
-    """Number of channels."""
-    names: tuple[str, ...]
-    """L names."""
-    uv: Columns
-    """(L, 2) columns, px."""
-    confidence: Columns
-    """(L,) columns; -1 where the stream has none."""
+    count: int  #: Number of channels
+    names: tuple[str, ...]  #: L names
+    uv: Columns  #: (L, 2) columns, px
+    confidence: Columns  #: (L,) columns; -1 where the stream has none
 
     @classmethod
     def of(cls, stream: str, labels: Sequence[str], units: Sequence[str] = ()) -> PointChannels:

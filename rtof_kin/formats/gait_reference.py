@@ -48,12 +48,10 @@ from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE, VARIABLES, GaitR
 
 FORMAT: Final = "gait reference"
 VERSION: Final = 1
-LARGEST: Final = 256 * 2**20
-"""Largest file, bytes: ten thousand people."""
+LARGEST: Final = 256 * 2**20  #: Largest file, bytes: ten thousand people
 _SIDES: Final = ("right", "left")
 _DIGITS: Final = 6
-Curve = Annotated[Array, ArrayOf(SHAPE[1])]
-"""51 numbers, deg."""
+Curve = Annotated[Array, ArrayOf(SHAPE[1])]  #: 51 numbers, deg
 
 
 class VariableTable(InputTable):

@@ -27,10 +27,8 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.signals import runs
 
 BASE_COLUMNS: Final = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
-BASE_TURN: Final = "base_q"
-"""Name of the base's orientation as a whole."""
-WORLD_FRAME: Final = "world"
-"""``frame_id`` of poses in ROS messages."""
+BASE_TURN: Final = "base_q"  #: Name of the base's orientation as a whole
+WORLD_FRAME: Final = "world"  #: ``frame_id`` of poses in ROS messages
 
 
 def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:

@@ -37,12 +37,9 @@ from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 class MarkerSequence:
     """Positions of markers, or of other named points, in world."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    names: tuple[str, ...]
-    """M names."""
-    p_world: Array
-    """(T, M, 3) m; NaN as a whole where missing."""
+    times: Array  #: (T,) seconds, strictly increasing
+    names: tuple[str, ...]  #: M names
+    p_world: Array  #: (T, M, 3) m; NaN as a whole where missing
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -71,10 +68,8 @@ class MarkerSequence:
 class MarkerBlocks:
     """Markers that may be longer than memory allows, for writers."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    names: tuple[str, ...]
-    """M names."""
+    times: Array  #: (T,) seconds, strictly increasing
+    names: tuple[str, ...]  #: M names
     blocks: Callable[[], Iterator[Array]]
     """Returns p_world (n, M, 3), m, of consecutive frames, T in all; NaN as a whole where missing."""
 
@@ -104,8 +99,7 @@ _KEYS: Final = (
     "OrigDataStartFrame",
     "OrigNumFrames",
 )
-_HEADER: Final = 5
-"""Lines above the first frame."""
+_HEADER: Final = 5  #: Lines above the first frame
 
 
 def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
@@ -229,13 +223,11 @@ def write_trc(
                 stream.write("\t".join([str(number), repr(time), *cells, ""]) + "\n")
 
 
-LARGEST_BYTES: Final = 2**31
-"""Largest file that is read, bytes."""
+LARGEST_BYTES: Final = 2**31  #: Largest file that is read, bytes
 _BLOCK: Final = 512
 _LARGEST_HEAD: Final = 510 * _BLOCK
 """The first block of parameters and their number of blocks are stored in one byte each."""
-_PROCESSORS: Final = (b"\x54", b"\x55", b"\x56")
-"""Intel, DEC (VAX) and MIPS (SGI)."""
+_PROCESSORS: Final = (b"\x54", b"\x55", b"\x56")  #: Intel, DEC (VAX) and MIPS (SGI)
 _DERIVED: Final = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of POINT that list points which a model derived and which are no positions."""
 _FRAMES_OF_16_BITS: Final = 0xFFFF

@@ -50,8 +50,7 @@ MEASUREMENTS: Final = "measurements.h5"
 _EARLIER: Final = "measurements.npz"
 SCHEMA_VERSION: Final = 2
 CAMERA: Final = ("K", "R_camera_world", "t_camera_world", "distortion")
-FULL: Final = 255
-"""Number in the file of a confidence of 1."""
+FULL: Final = 255  #: Number in the file of a confidence of 1
 _CONSTANT: Final = ("quat_wxyz_bone_sensor", "p_bone_sensor", "K_still", "video_K", "video_distortion")
 """Arrays, or ends of their names, that do not have one row per frame."""
 _ABOUT: Final = {
@@ -68,16 +67,11 @@ _ABOUT: Final = {
     "truth_valid": {"unit": "1", "shape": "(T, J)"},
 }
 """Attributes of the arrays by the end of their names."""
-_PIXEL_BITS: Final = 6
-"""[bits] after the point: 1/128 px of error, far below that of a detector."""
-_SENSOR_BITS: Final = 15
-"""0.0015 deg of error."""
-_TRUTH_BITS: Final = 13
-"""0.006 deg of error."""
-_POSITION_BITS: Final = 16
-"""0.008 mm of error."""
-_CAMERA_BITS: Final = 22
-"""A thousandth of a pixel."""
+_PIXEL_BITS: Final = 6  #: [bits] after the point: 1/128 px of error, far below that of a detector
+_SENSOR_BITS: Final = 15  #: 0.0015 deg of error
+_TRUTH_BITS: Final = 13  #: 0.006 deg of error
+_POSITION_BITS: Final = 16  #: 0.008 mm of error
+_CAMERA_BITS: Final = 22  #: A thousandth of a pixel
 
 
 def measurements_path(folder: Path) -> Path:

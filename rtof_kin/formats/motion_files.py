@@ -86,10 +86,8 @@ class Column:
     """One column of the table."""
 
     name: str
-    unit: str
-    """'s', 'm', 'rad', '1' (no unit), or '' of values that are no numbers."""
-    values: NDArray[Any]
-    """(T,) numbers (NaN where unknown), booleans or texts."""
+    unit: str  #: 's', 'm', 'rad', '1' (no unit), or '' of values that are no numbers
+    values: NDArray[Any]  #: (T,) numbers (NaN where unknown), booleans or texts
     also: dict[str, str] = field(default_factory=dict)
     """'clinical' and 'opensim' names, '-' in front where the sign is opposite."""
 
@@ -167,23 +165,18 @@ INDEX: Final = "files.json"
 URDF: Final = "skeleton.urdf"
 DEFAULT: Final = ("csv", "ros")
 Facts = dict[str, Any]
-Files = dict[str, Facts]
-"""Entries of `files.json`, by file name."""
+Files = dict[str, Facts]  #: Entries of `files.json`, by file name
 Writer = Callable[[Path, MotionSource], object]
-_MOST_FRAMES_C3D: Final = 0xFFFF
-"""Frame numbers have 16 bits in the header."""
+_MOST_FRAMES_C3D: Final = 0xFFFF  #: Frame numbers have 16 bits in the header
 
 
 @dataclass(frozen=True)
 class Format:
     """A kind of file that a motion is written to."""
 
-    convention: str
-    """Axes, units, order and names."""
-    write: Callable[[Path, MotionSource], Files]
-    """Write into a folder."""
-    even: bool = False
-    """True for formats with a rate in place of times, or whose readers expect even ones."""
+    convention: str  #: Axes, units, order and names
+    write: Callable[[Path, MotionSource], Files]  #: Write into a folder
+    even: bool = False  #: True for formats with a rate in place of times, or whose readers expect even ones
 
 
 def write_motion_files(folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT) -> Path:

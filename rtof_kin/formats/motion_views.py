@@ -21,8 +21,7 @@ from rtof_kin.formats.markers import MarkerBlocks
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
 AnyMotion = Motion | MotionSource
-MOST_UNEVEN: Final = 0.02
-"""Largest deviation of a time from an even grid, frames, in formats without times."""
+MOST_UNEVEN: Final = 0.02  #: Largest deviation of a time from an even grid, frames, in formats without times
 
 
 def pieces(motion: AnyMotion) -> list[tuple[int, int]]:

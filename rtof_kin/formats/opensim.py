@@ -58,16 +58,11 @@ _OWN: Final = re.compile(r"Coordinates of the \.osim of the skeleton (\w+), zero
 class OpenSimTable:
     """Coordinates of a model over time."""
 
-    times: Array
-    """(T,) seconds, strictly increasing."""
-    names: tuple[str, ...]
-    """C coordinates, e.g. 'knee_angle_r'."""
-    values: Array
-    """(T, C) as in the file: rotations in degrees or rad, translations in m; NaN where missing."""
-    in_degrees: bool
-    """Whether rotations are in degrees."""
-    skeleton: str = ""
-    """Skeleton of this package whose .osim the coordinates belong to; '' for another model."""
+    times: Array  #: (T,) seconds, strictly increasing
+    names: tuple[str, ...]  #: C coordinates, e.g. 'knee_angle_r'.
+    values: Array  #: (T, C) as in the file: rotations in degrees or rad, translations in m; NaN where missing
+    in_degrees: bool  #: Whether rotations are in degrees
+    skeleton: str = ""  #: Skeleton of this package whose .osim the coordinates belong to; '' for another model
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", checked_times("coordinate times", self.times))
@@ -145,8 +140,7 @@ def _skeleton(header: list[str]) -> str:
     return next((found[1] for line in header if (found := _OWN.match(line))), "")
 
 
-_VERSION: Final = "40000"
-"""Version of the format; every OpenSim 4 reads it."""
+_VERSION: Final = "40000"  #: Version of the format; every OpenSim 4 reads it
 _CREDITS: Final = (
     "Bodies have the link frames of the URDF: x forward, y left, z up in the T-pose, where every "
     "coordinate is zero. Masses: de Leva (1996). Ground: x forward, y up, z right. A coordinate with "
@@ -240,8 +234,7 @@ def _text(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number) + 0.0) for number in numbers)
 
 
-ROOT_AXES: Final = "yxz"
-"""Rotation axes of the root in world: z, x and y of OpenSim's ground, the first one reversed."""
+ROOT_AXES: Final = "yxz"  #: Rotation axes of the root in world: z, x and y of OpenSim's ground, the first one reversed
 _ROOT_ROTATIONS: Final = ("-pelvis_tilt", "pelvis_list", "pelvis_rotation")
 _ROOT_TRANSLATIONS: Final = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 _ROOT_RANGE_M: Final = 10.0
@@ -252,15 +245,11 @@ class Coordinate:
     """One degree of freedom of an .osim."""
 
     name: str
-    joint: str
-    """The joint of the skeleton that it moves."""
-    axis: Array
-    """(3,) axis of rotation or translation, in the joint's axes with all angles zero."""
+    joint: str  #: The joint of the skeleton that it moves
+    axis: Array  #: (3,) axis of rotation or translation, in the joint's axes with all angles zero
     is_rotation: bool
-    range: tuple[float, float]
-    """Radians or metres."""
-    urdf: str = ""
-    """Its URDF name; `BASE_TURN` for the root's rotations, empty for its translations."""
+    range: tuple[float, float]  #: Radians or metres
+    urdf: str = ""  #: Its URDF name; `BASE_TURN` for the root's rotations, empty for its translations
 
     @property
     def sign(self) -> float:

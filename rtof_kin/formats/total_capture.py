@@ -29,22 +29,17 @@ _AGAIN: Final = "the download is probably incomplete; fetch and unpack the file 
 class JointTable:
     """``gt_skel_gbl_pos.txt`` or ``gt_skel_gbl_ori.txt``."""
 
-    names: tuple[str, ...]
-    """J joint names, in the file's order."""
-    values: Array
-    """(T, J, 3) inches, or (T, J, 4) quaternions x y z w; world y up."""
+    names: tuple[str, ...]  #: J joint names, in the file's order
+    values: Array  #: (T, J, 3) inches, or (T, J, 4) quaternions x y z w; world y up
 
 
 @dataclass(frozen=True)
 class SensorTable:
     """``*_Xsens.sensors`` or ``*_Xsens_AuxFields.sensors``."""
 
-    names: tuple[str, ...]
-    """S sensor names, in the order of the first frame."""
-    quat_wxyz: Array
-    """(T, S, 4) from the sensor to its inertial frame."""
-    f_sensor: Array
-    """(T, S, 3) specific force in sensor axes, gravity included, m/s^2."""
+    names: tuple[str, ...]  #: S sensor names, in the order of the first frame
+    quat_wxyz: Array  #: (T, S, 4) from the sensor to its inertial frame
+    f_sensor: Array  #: (T, S, 3) specific force in sensor axes, gravity included, m/s^2
 
 
 def read_joints(path: str | Path, width: int) -> JointTable:

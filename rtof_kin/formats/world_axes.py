@@ -22,8 +22,7 @@ UP: Final[dict[str, Array]] = {
 R_WORLD_GROUND: Final = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """OpenSim's ground (y up) to world, in every file that goes with an .osim: a person who faces world x
 faces ground x and has ground z on the right. With `UP`'s y that person faces z."""
-METRES: Final = {"m": 1.0, "mm": 0.001, "cm": 0.01}
-"""Length of the units of marker files, m."""
+METRES: Final = {"m": 1.0, "mm": 0.001, "cm": 0.01}  #: Length of the units of marker files, m
 
 
 def world_of_file(up: str, metres_per_unit: float = 1.0) -> Array:

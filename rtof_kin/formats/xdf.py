@@ -50,19 +50,14 @@ _OFFSET_BYTES: Final = 16
 class XdfHeader:
     """What one stream declares."""
 
-    number: int
-    """Of the stream, in the file."""
+    number: int  #: Of the stream, in the file
     name: str
     type: str
     source_id: str
-    count: int
-    """Number of channels."""
-    item_bytes: int
-    """Of one number; 0 for text."""
-    rate_hz: float
-    """Nominal sampling rate, Hz; 0 where irregular."""
-    labels: tuple[str, ...]
-    """Of the channels; fewer where the metadata lacks them."""
+    count: int  #: Number of channels
+    item_bytes: int  #: Of one number; 0 for text
+    rate_hz: float  #: Nominal sampling rate, Hz; 0 where irregular
+    labels: tuple[str, ...]  #: Of the channels; fewer where the metadata lacks them
     units: tuple[str, ...]
     types: tuple[str, ...]
 
@@ -72,14 +67,10 @@ class XdfStructure:
     """Streams of a file and its intact part."""
 
     headers: tuple[XdfHeader, ...]
-    samples: Mapping[int, int]
-    """Number of samples of each stream."""
-    synchronised: frozenset[int]
-    """Streams with measured offsets of their clock."""
-    end: int
-    """Byte where the intact chunks end."""
-    cut: bool
-    """Whether bytes follow there, of a chunk that is incomplete."""
+    samples: Mapping[int, int]  #: Number of samples of each stream
+    synchronised: frozenset[int]  #: Streams with measured offsets of their clock
+    end: int  #: Byte where the intact chunks end
+    cut: bool  #: Whether bytes follow there, of a chunk that is incomplete
 
 
 class _CutError(Exception):
@@ -232,8 +223,7 @@ class _Chunks:
 
 C = TypeVar("C")
 TITLE: Final = "XDF"
-_JITTER: Final = 0.1
-"""[sampling periods] of the stamps, by which lost packets can no longer be counted."""
+_JITTER: Final = 0.1  #: [sampling periods] of the stamps, by which lost packets can no longer be counted
 _DIFFER: Final = "Segments and clock-segments differ"
 """Remark of pyxdf about every stream whose clock was not measured."""
 
@@ -296,18 +286,12 @@ def _named(streams: Sequence[SensorStream], headers: Sequence[XdfHeader], notes:
 class XdfPoints:
     """Detected points of one person, from one stream."""
 
-    stream: str
-    """Name of the stream."""
-    times: Array
-    """(T,) s, on the clock of the file's sensors."""
-    uv_px: Array
-    """(T, L, 2) px; NaN where unseen."""
-    confidence: Array
-    """(T, L) in [0, 1]; 0 where unseen."""
-    names: tuple[str, ...]
-    """L names."""
-    notes: tuple[str, ...]
-    """Remarks, in sentences."""
+    stream: str  #: Name of the stream
+    times: Array  #: (T,) s, on the clock of the file's sensors
+    uv_px: Array  #: (T, L, 2) px; NaN where unseen
+    confidence: Array  #: (T, L) in [0, 1]; 0 where unseen
+    names: tuple[str, ...]  #: L names
+    notes: tuple[str, ...]  #: Remarks, in sentences
 
     def sequence(self, camera: Camera) -> KeypointSequence:
         """Return the points as keypoints."""

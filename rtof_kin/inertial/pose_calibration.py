@@ -104,14 +104,10 @@ class SensorReport:
     """Quality of one sensor's calibration."""
 
     sensor: str
-    joint: str
-    """Segment of the sensor."""
-    spread_deg: float
-    """RMS angle of its orientation to the mean during the pose."""
-    heading_sigma_deg: float
-    """Standard deviation of its heading; 0 if given."""
-    expected_deg: float
-    """Expected error of the calibration, from pose, spread and heading."""
+    joint: str  #: Segment of the sensor
+    spread_deg: float  #: RMS angle of its orientation to the mean during the pose
+    heading_sigma_deg: float  #: Standard deviation of its heading; 0 if given
+    expected_deg: float  #: Expected error of the calibration, from pose, spread and heading
 
 
 @dataclass(frozen=True)
@@ -119,12 +115,9 @@ class PoseCalibration:
     """A calibration and its report."""
 
     calibration: ImuCalibration
-    pose: str
-    """Name of the pose."""
-    still: tuple[float, float]
-    """(start, stop) s of the pose."""
-    facing: float
-    """Heading of the person in world during the pose, rad about z from x."""
+    pose: str  #: Name of the pose
+    still: tuple[float, float]  #: (start, stop) s of the pose
+    facing: float  #: Heading of the person in world during the pose, rad about z from x
     sensors: tuple[SensorReport, ...]
     heading_margin: float | None = None
     """Log-likelihood ratio, nats, of headings from movement to those more than 45 degrees away."""

@@ -65,20 +65,13 @@ class _Change:
 class Fault:
     """A likely fault of the setup, after the correction of those reported before it."""
 
-    kind: FaultKind
-    """Kind of the fault."""
-    what: str
-    """Description with the sensors concerned."""
-    remedy: str
-    """What to do about it."""
-    changes: tuple[_Change, ...] = ()
-    """Corrections of single sensors."""
-    R_world_new: Array | None = None
-    """(3, 3) factor of every sensor's R_world_inertial from the left."""
-    log_likelihood_ratio: float = 0.0
-    """Against the calibration as declared, nats."""
-    alternatives: tuple[str, ...] = ()
-    """Descriptions of other faults that are nearly as likely."""
+    kind: FaultKind  #: Kind of the fault
+    what: str  #: Description with the sensors concerned
+    remedy: str  #: What to do about it
+    changes: tuple[_Change, ...] = ()  #: Corrections of single sensors
+    R_world_new: Array | None = None  #: (3, 3) factor of every sensor's R_world_inertial from the left
+    log_likelihood_ratio: float = 0.0  #: Against the calibration as declared, nats
+    alternatives: tuple[str, ...] = ()  #: Descriptions of other faults that are nearly as likely
 
     def __str__(self) -> str:
         others = f"; or else: {'; '.join(self.alternatives)}" if self.alternatives else ""

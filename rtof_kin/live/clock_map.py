@@ -15,8 +15,7 @@ from typing import Final
 
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 
-VIDEO: Final = "video"
-"""Name of the stream of frames, beside the sensors' names."""
+VIDEO: Final = "video"  #: Name of the stream of frames, beside the sensors' names
 _WINDOW, _BIN = 10.0, 0.5  # [s] over which the earliest arrival counts, and its resolution
 _SETTLING, _FOLLOWING = 2.0, 2.0  # [s] in which the offset moves at once; time constant afterwards
 _SAME_CLOCK = 0.03  # [s] streams of one source whose offsets agree so well have one clock
@@ -31,14 +30,10 @@ _WAIT = 2.0  # [s] for the common clock before this machine's clock is taken
 class Arrived:
     """A sample with what the session knows about its time."""
 
-    source: str
-    """Name of its source."""
-    sample: Sample
-    """As it came, on the clock of its source."""
-    arrival: float
-    """[s] on this machine's clock."""
-    time: float
-    """[s] on the session's clock; NaN if the sample is left out."""
+    source: str  #: Name of its source
+    sample: Sample  #: As it came, on the clock of its source
+    arrival: float  #: [s] on this machine's clock
+    time: float  #: [s] on the session's clock; NaN if the sample is left out
 
     @property
     def stream(self) -> str:

@@ -368,8 +368,7 @@ class LslSource:
     new and the earlier ones.
     """
 
-    clock = Clock.COMMON
-    """The LSL clock of this machine, common to all LSL streams."""
+    clock = Clock.COMMON  #: The LSL clock of this machine, common to all LSL streams
 
     def __init__(self, stream: str, timeout_s: float, read: Callable[[Inlet], Channels], changed: str):
         self.stream, self.name = stream, f"lsl:{stream}"

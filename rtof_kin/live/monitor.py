@@ -41,18 +41,12 @@ _FRAMES = 60  # estimates that the figures of `Monitor.status` are of
 class Quality:
     """Figures of a stream over its last second; 0 before there are any."""
 
-    rate_hz: float = 0.0
-    """Samples per second that came."""
-    period: float = 0.0
-    """[s] between samples where none is lost."""
-    missing: int = 0
-    """Samples that did not come in that second."""
-    missing_hz: float = 0.0
-    """Samples per second that did not come."""
-    jitter: float = 0.0
-    """[s] between the 5th and the 95th percentile of lateness."""
-    age: float = 0.0
-    """[s] median lateness: by how much a sample is older than the newest of any stream before it."""
+    rate_hz: float = 0.0  #: Samples per second that came
+    period: float = 0.0  #: [s] between samples where none is lost
+    missing: int = 0  #: Samples that did not come in that second
+    missing_hz: float = 0.0  #: Samples per second that did not come
+    jitter: float = 0.0  #: [s] between the 5th and the 95th percentile of lateness
+    age: float = 0.0  #: [s] median lateness: by how much a sample is older than the newest of any stream before it
 
     @property
     def loss(self) -> float:
@@ -118,18 +112,12 @@ def _period(steps: list[float]) -> tuple[float, bool]:
 class State(Enum):
     """What a stream is doing; of several that hold, the first one is shown."""
 
-    WAITING = "waiting"
-    """Nothing has come yet."""
-    LOST = "lost"
-    """Nothing comes any more."""
-    FROZEN = "frozen"
-    """It repeats the same numbers; a camera also where no frame comes any more."""
-    EMPTY = "nobody seen"
-    """The camera's frames have no landmark."""
-    LOSSY = "lossy"
-    """Some samples do not come."""
-    LATE = "late"
-    """Samples come late or out of order."""
+    WAITING = "waiting"  #: Nothing has come yet
+    LOST = "lost"  #: Nothing comes any more
+    FROZEN = "frozen"  #: It repeats the same numbers; a camera also where no frame comes any more
+    EMPTY = "nobody seen"  #: The camera's frames have no landmark
+    LOSSY = "lossy"  #: Some samples do not come
+    LATE = "late"  #: Samples come late or out of order
     OK = "ok"
 
 
@@ -137,34 +125,23 @@ class State(Enum):
 class Change:
     """One stream, or several at once, begin or cease to be in a state."""
 
-    time: float
-    """[s] since the first sample."""
-    streams: tuple[str, ...]
-    """Sensors, or `VIDEO`."""
-    state: State
-    """That begins or ends."""
-    begins: bool
-    """Whether it begins."""
-    sentence: str
-    """Streams, state and figures."""
+    time: float  #: [s] since the first sample
+    streams: tuple[str, ...]  #: Sensors, or `VIDEO`
+    state: State  #: That begins or ends
+    begins: bool  #: Whether it begins
+    sentence: str  #: Streams, state and figures
 
 
 @dataclass(frozen=True)
 class StreamSummary:
     """Samples of one stream in the whole session."""
 
-    received: int
-    """With a usable time."""
-    lost: int
-    """That did not come, by the stream's own rate."""
-    late: int
-    """More than 15 ms older than the newest one of any stream before."""
-    repeated: int
-    """That came while the stream was frozen."""
-    too_late: int = 0
-    """That came too late for the estimate."""
-    left_out: int = 0
-    """Not used for their numbers, because they repeated, or for their time."""
+    received: int  #: With a usable time
+    lost: int  #: That did not come, by the stream's own rate
+    late: int  #: More than 15 ms older than the newest one of any stream before
+    repeated: int  #: That came while the stream was frozen
+    too_late: int = 0  #: That came too late for the estimate
+    left_out: int = 0  #: Not used for their numbers, because they repeated, or for their time
 
 
 class _Stream:

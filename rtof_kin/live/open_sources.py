@@ -23,8 +23,7 @@ CAMERAS: Final = "number of a webcam, VIDEO, a detector's file, lsl:NAME, or the
 """Words of a camera, for messages."""
 SENSORS: Final = "lsl:NAME, a file or folder of sensors, or the folder of a recording"
 """Words of sensors, for messages."""
-OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
-"""Words of outputs, for messages."""
+OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"  #: Words of outputs, for messages
 _LSL, _WS = "lsl", "ws"
 _OUTLET: Final = "rtof_kin"
 _PORT: Final = 8765  # Of the WebSocket, unless another is given
@@ -102,12 +101,9 @@ class RenamedSensors:
 class Streams:
     """Sources of a session."""
 
-    sources: tuple[Source, ...]
-    """The camera first; not started yet."""
-    replay: ReplayClock
-    """Clock of those that are replayed."""
-    live: tuple[Source, ...]
-    """Those that are not replayed."""
+    sources: tuple[Source, ...]  #: The camera first; not started yet
+    replay: ReplayClock  #: Clock of those that are replayed
+    live: tuple[Source, ...]  #: Those that are not replayed
 
     @property
     def replayed(self) -> bool:

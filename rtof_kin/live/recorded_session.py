@@ -30,10 +30,8 @@ from rtof_kin.live.stream_checks import unknown_landmarks, unknown_sensors
 from rtof_kin.recording.index import INDEX, UNFINISHED
 from rtof_kin.recording.recording import Recording
 
-LIVE, SETUP = UNFINISHED.parts
-"""Folder of everything as it came, and the one in it with camera, body and calibration."""
-CHUNK: Final = "{:06d}.npz"
-"""Names of the files in it."""
+LIVE, SETUP = UNFINISHED.parts  #: Folder of everything as it came, and the one in it with camera, body and calibration
+CHUNK: Final = "{:06d}.npz"  #: Names of the files in it
 _MADE: Final = "recording"
 _SAME_SAMPLE: Final = 1e-4  # [s]
 _FROZEN: Final = 0.3  # [s] of identical numbers

@@ -133,18 +133,13 @@ class ReplayClock:
 class Faults:
     """Faults that a replay adds; the same seed gives the same ones."""
 
-    loss: float = 0.0
-    """Fraction of the samples that never arrive."""
-    jitter_s: float = 0.0
-    """Largest delay of an arrival, s; stamps stay as they are, the order does not."""
+    loss: float = 0.0  #: Fraction of the samples that never arrive
+    jitter_s: float = 0.0  #: Largest delay of an arrival, s; stamps stay as they are, the order does not
     dead: tuple[tuple[str, float, float], ...] = ()
     """Sensor (or `VIDEO`), start and stop, s: none of its samples arrives."""
-    frozen: tuple[float, float] | None = None
-    """Start and stop, s: the picture repeats, with new stamps."""
-    video_delay_s: float = 0.0
-    """By how much frames arrive and are stamped late, s."""
-    seed: int = 0
-    """Of losses and delays."""
+    frozen: tuple[float, float] | None = None  #: Start and stop, s: the picture repeats, with new stamps
+    video_delay_s: float = 0.0  #: By how much frames arrive and are stamped late, s
+    seed: int = 0  #: Of losses and delays
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dead", tuple((str(n), float(a), float(b)) for n, a, b in self.dead))

@@ -15,26 +15,19 @@ from rtof_kin.data.poses import PoseSequence
 class ImuSample:
     """One sample of one inertial sensor."""
 
-    sensor: str
-    """Name, as in the calibration."""
-    time: float
-    """[s] on the clock of its source."""
-    R_inertial_sensor: Array
-    """(3, 3) orientation; NaN where missing."""
-    f_sensor: Array
-    """(3,) specific force, m/s^2, gravity included; NaN where missing."""
+    sensor: str  #: Name, as in the calibration
+    time: float  #: [s] on the clock of its source
+    R_inertial_sensor: Array  #: (3, 3) orientation; NaN where missing
+    f_sensor: Array  #: (3,) specific force, m/s^2, gravity included; NaN where missing
 
 
 @dataclass(frozen=True)
 class FrameSample:
     """Detected points of one frame of the video."""
 
-    time: float
-    """[s] on the clock of its source."""
-    uv_px: Array
-    """(L, 2) px; NaN where unseen."""
-    confidence: Array
-    """(L,) in [0, 1]; 0 where unseen."""
+    time: float  #: [s] on the clock of its source
+    uv_px: Array  #: (L, 2) px; NaN where unseen
+    confidence: Array  #: (L,) in [0, 1]; 0 where unseen
 
 
 Sample = ImuSample | FrameSample
@@ -43,10 +36,8 @@ Sample = ImuSample | FrameSample
 class Clock(Enum):
     """What the time stamps of a source refer to."""
 
-    COMMON = "common"
-    """The clock of the other sources with a common clock, as in a recording or over LSL."""
-    OWN = "own"
-    """A clock of its own; it is mapped by the earliest arrivals."""
+    COMMON = "common"  #: The clock of the other sources with a common clock, as in a recording or over LSL
+    OWN = "own"  #: A clock of its own; it is mapped by the earliest arrivals
 
 
 class Source(Protocol):
@@ -93,14 +84,10 @@ class Source(Protocol):
 class OnlineEstimate:
     """Pose of one instant."""
 
-    poses: PoseSequence
-    """One frame, on the clock of the sensors."""
-    lag_s: float
-    """Age of the pose when it was estimated: newest time of any stream minus its own, s."""
-    seconds: float
-    """Time that the estimate took, s."""
-    confidence: Confidence | None = None
-    """Of that frame, where asked for."""
+    poses: PoseSequence  #: One frame, on the clock of the sensors
+    lag_s: float  #: Age of the pose when it was estimated: newest time of any stream minus its own, s
+    seconds: float  #: Time that the estimate took, s
+    confidence: Confidence | None = None  #: Of that frame, where asked for
 
 
 class Sink(Protocol):

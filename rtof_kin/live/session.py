@@ -47,20 +47,13 @@ _HURRIED: Final = 120  # frames that were only predicted before the machine coun
 class SessionSummary:
     """What happened in a session."""
 
-    frames: int
-    """Number of estimates."""
-    seconds: float
-    """From the first to the last sample, s."""
-    frame_ms_p50: float
-    """[ms] Median time for a frame, all included; NaN without frames."""
-    frame_ms_p99: float
-    """[ms] 99th percentile of it."""
-    streams: Mapping[str, StreamSummary]
-    """By sensor, and ``video``."""
-    sentences: tuple[str, ...]
-    """What was told, with the time; at most 1000."""
-    folder: Path | None
-    """Recording of the session; None where none was made."""
+    frames: int  #: Number of estimates
+    seconds: float  #: From the first to the last sample, s
+    frame_ms_p50: float  #: [ms] Median time for a frame, all included; NaN without frames
+    frame_ms_p99: float  #: [ms] 99th percentile of it
+    streams: Mapping[str, StreamSummary]  #: By sensor, and ``video``
+    sentences: tuple[str, ...]  #: What was told, with the time; at most 1000
+    folder: Path | None  #: Recording of the session; None where none was made
 
 
 class FrameTimes:

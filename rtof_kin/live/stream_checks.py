@@ -26,8 +26,7 @@ from rtof_kin.live.samples import FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.layouts import is_detector_point
 
-FIRST_SECONDS: Final = 2.0
-"""[s] of a sensor after which it is checked."""
+FIRST_SECONDS: Final = 2.0  #: [s] of a sensor after which it is checked
 _AGAIN: Final = 4.5  # [s]
 _ORTHONORMAL = 1e-2  # [-] largest deviation of a dot product of a rotation's rows
 _FASTEST_HZ: Final = 2000.0

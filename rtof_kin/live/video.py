@@ -38,12 +38,9 @@ _FIRST_TOLD: Final = 30  # Dropped images of a webcam that are told of first; th
 class Image:
     """An image that waits for the detector."""
 
-    time: float
-    """[s] its stamp."""
-    pixels: NDArray[np.uint8]
-    """(height, width, 3), BGR, upright."""
-    taken: float
-    """[s] on this machine's clock."""
+    time: float  #: [s] its stamp
+    pixels: NDArray[np.uint8]  #: (height, width, 3), BGR, upright
+    taken: float  #: [s] on this machine's clock
 
 
 Images = Generator[Image, None, None]

@@ -35,13 +35,10 @@ COLUMNS: Final = ("angle", "shown", *_ACCURACY.split(), "identifiable", "confuse
 _CLEAR: Final = 0.1
 """Least gain in the mean standard deviation, relative to it, that is worth a change: others are within the
 scatter of a few simulated recordings."""
-_APART: Final = 1.5
-"""Ratio of simulated to stated errors beyond which a caution is given."""
+_APART: Final = 1.5  #: Ratio of simulated to stated errors beyond which a caution is given
 _OWN, _OTHER, _WEAK = "#1f77b4", "#9ecae1", "#d62728"
-_CUT: Final = 45.0
-"""[deg] Longest bar."""
-_MOST: Final = 10
-"""Options shown in a figure."""
+_CUT: Final = 45.0  #: [deg] Longest bar
+_MOST: Final = 10  #: Options shown in a figure
 
 
 def write_plan(plan: Plan, folder: str | Path, overwrite: bool = False) -> None:

@@ -32,16 +32,12 @@ from rtof_kin.solve.settings import JointSpaceSettings
 
 NOT_IDENTIFIABLE: Final = np.radians(30.0)
 """[rad] Least standard deviation, by the measurements alone, of an angle that is not identifiable."""
-CONFUSED: Final = 0.6
-"""Least correlation of errors that counts as a confusion."""
+CONFUSED: Final = 0.6  #: Least correlation of errors that counts as a confusion
 ROOT: Final = ("sideways position", "vertical position", "distance")
 """Position of the pelvis as seen by the camera: to its right, down, along its axis."""
-_FRAGMENTS: Final = 5
-"""Over the movement."""
-_STEP: Final = 1e-4
-"""[m, rad] of the central differences."""
-_FIXED: Final = 1e-5
-"""[rad] Standard deviation of an angle that the model fixes, such as the adduction of a hinge."""
+_FRAGMENTS: Final = 5  #: Over the movement
+_STEP: Final = 1e-4  #: [m, rad] of the central differences
+_FIXED: Final = 1e-5  #: [rad] Standard deviation of an angle that the model fixes, such as the adduction of a hinge
 _ASSUMED: Final = ("w_prior", "w_torso", "w_bone", "w_root")
 """Weights of the pose prior and of the anchors to the initial guess."""
 
@@ -51,12 +47,9 @@ class Weakness:
     """An angle that is not identifiable."""
 
     angle: str
-    sigma: float
-    """[rad] Standard deviation by the measurements alone."""
-    confused_with: str = ""
-    """Another angle or one of `ROOT`; empty where the measurements hardly depend on the angle."""
-    correlation: float = 0.0
-    """Of the two errors, under the measurements alone."""
+    sigma: float  #: [rad] Standard deviation by the measurements alone
+    confused_with: str = ""  #: Another angle or one of `ROOT`; empty where the measurements hardly depend on the angle
+    correlation: float = 0.0  #: Of the two errors, under the measurements alone
 
     @property
     def words(self) -> str:
@@ -74,10 +67,8 @@ class Information:
     """Information of A angles, over the movement."""
 
     names: tuple[str, ...]
-    sigma: Array
-    """(A,) rad, standard deviations by the measurements alone; NaN for an angle that the model fixes."""
-    correlation: Array
-    """(A, A + 3) of the errors under the measurements alone, with those of all angles and of `ROOT`."""
+    sigma: Array  #: (A,) rad, standard deviations by the measurements alone; NaN for an angle that the model fixes
+    correlation: Array  #: (A, A + 3) of the errors under the measurements alone, with those of all angles and of `ROOT`
 
     def weaknesses(self, shown: Sequence[str], others: Sequence[str]) -> tuple[Weakness, ...]:
         """Return those of some angles that are not identifiable, the least first; they may be confused with others,

@@ -29,8 +29,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 
 STORED_RATE_HZ: Final = 30.0
-ROTATION_UNIT: Final = 1e-4
-"""[rad] of the stored rotation vectors, which are integers."""
+ROTATION_UNIT: Final = 1e-4  #: [rad] of the stored rotation vectors, which are integers
 SIDES: Final = ("Left", "Right")
 MOST_EXTENDED: Final = 0.9992
 """Largest distance from hip to ankle, share of thigh and shank: the knee keeps five degrees."""
@@ -42,22 +41,14 @@ _default = lru_cache(maxsize=1)(SkeletonModel.default)
 class MovementInfo:
     """A movement of the library."""
 
-    name: str
-    """As `movement` takes it."""
-    description: str
-    """One sentence: what it is, what of it is recorded motion and what is constructed."""
-    instructions: str
-    """What the operator tells the person."""
-    angles: tuple[str, ...]
-    """Clinical angles that it is for, without their sides."""
-    sources: tuple[str, ...]
-    """Motions of the CMU database that it was made from."""
-    repetition: str
-    """What one repetition is."""
-    repetitions: int
-    """Number of repetitions by default."""
-    acknowledgement: str
-    """Of the data that it was made from."""
+    name: str  #: As `movement` takes it
+    description: str  #: One sentence: what it is, what of it is recorded motion and what is constructed
+    instructions: str  #: What the operator tells the person
+    angles: tuple[str, ...]  #: Clinical angles that it is for, without their sides
+    sources: tuple[str, ...]  #: Motions of the CMU database that it was made from
+    repetition: str  #: What one repetition is
+    repetitions: int  #: Number of repetitions by default
+    acknowledgement: str  #: Of the data that it was made from
 
 
 def _table() -> Mapping[str, MovementInfo]:
@@ -70,20 +61,16 @@ def _table() -> Mapping[str, MovementInfo]:
     return MappingProxyType({info.name: info for info in infos})
 
 
-MOVEMENTS: Final[Mapping[str, MovementInfo]] = _table()
-"""The movements by name."""
+MOVEMENTS: Final[Mapping[str, MovementInfo]] = _table()  #: The movements by name
 
 
 @dataclass(frozen=True)
 class Stored:
     """A movement without bone lengths, on the default skeleton's frames."""
 
-    R_parent_bone: Array
-    """(T, J, 3, 3), of the root in world."""
-    hips: Array
-    """(T, 3) middle of the hips, above the height of a standing ankle, in leg lengths."""
-    balls: Array
-    """(T, 2, 3) balls of the left and right foot, above their height in standing, in leg lengths."""
+    R_parent_bone: Array  #: (T, J, 3, 3), of the root in world
+    hips: Array  #: (T, 3) middle of the hips, above the height of a standing ankle, in leg lengths
+    balls: Array  #: (T, 2, 3) balls of the left and right foot, above their height in standing, in leg lengths
     cycle: tuple[int, int] = (0, 0)
     """Frames [start, stop) of the repetition; the pose at stop is that at start, at rest."""
 

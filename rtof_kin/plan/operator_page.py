@@ -30,8 +30,7 @@ from rtof_kin.reporting.html import render
 INSTRUCTIONS: Final = "instructions.html"
 BODY, LEFT, RIGHT, CAMERA, SENSOR = "#555555", "#c0392b", "#0072b2", "#2e8b57", "#e69f00"
 _LABEL_WIDTH: Final = 26
-_LABEL_STEP: Final = 0.275
-"""[m] on the page between two labels of sensors."""
+_LABEL_STEP: Final = 0.275  #: [m] on the page between two labels of sensors
 
 
 def write_instructions(
@@ -193,8 +192,7 @@ def _sticks(ax: Any, points: Array, skeleton: SkeletonModel, width: float) -> No
             ax.plot(*points[[parent, j]].T, color=colour, lw=width, solid_capstyle="round", alpha=0.75, zorder=1)
 
 
-MOST_LINES: Final = 29
-"""Lines of all texts together that fit on the sheet beside the drawing."""
+MOST_LINES: Final = 29  #: Lines of all texts together that fit on the sheet beside the drawing
 _LINE: Final = 100  # characters, of a wide font
 
 _NEVER: Final = (

@@ -20,30 +20,21 @@ from rtof_kin.plan.setup import Setup, liveliest, seen_share
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reporting.angle_names import XZY, angle_name
 
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, steps done, steps in all)."""
-SEEN: Final = 0.95
-"""Least share of the joints in the image that a place of the camera needs."""
-_SEARCHED: Final = 8.0
-"""[s] of the movement that cameras and further sensors are compared on."""
-_UNOBSERVED: Final = np.radians(30.0)
-"""[rad] counted for an unobserved angle in comparisons."""
+Progress = Callable[[str, int, int], None]  #: Called with (stage, steps done, steps in all)
+SEEN: Final = 0.95  #: Least share of the joints in the image that a place of the camera needs
+_SEARCHED: Final = 8.0  #: [s] of the movement that cameras and further sensors are compared on
+_UNOBSERVED: Final = np.radians(30.0)  #: [rad] counted for an unobserved angle in comparisons
 
 
 @dataclass(frozen=True)
 class Option:
     """Another camera place or one more sensor, compared on a part of the movement."""
 
-    name: str
-    """In words."""
-    loss: float
-    """[rad] mean standard deviation of the angles that matter, NaN where it is not possible."""
-    gain: float
-    """[rad] by which it is below that of the plan."""
-    most: str = ""
-    """Angle that gains most."""
-    problem: str = ""
-    """Why it is not possible; empty where it is."""
+    name: str  #: In words
+    loss: float  #: [rad] mean standard deviation of the angles that matter, NaN where it is not possible
+    gain: float  #: [rad] by which it is below that of the plan
+    most: str = ""  #: Angle that gains most
+    problem: str = ""  #: Why it is not possible; empty where it is
 
 
 @dataclass(frozen=True)
@@ -52,20 +43,13 @@ class Plan:
 
     protocol: Protocol
     setup: Setup
-    prediction: Prediction
-    """Of all clinical angles."""
-    shown: tuple[str, ...]
-    """Angles that matter: those wanted, else all in one convention that the model does not fix."""
-    weaknesses: tuple[Weakness, ...]
-    """Of these."""
-    cameras: tuple[Option, ...]
-    """Best first."""
-    sensors: tuple[Option, ...]
-    """Best first."""
-    calibration: CalibrationTime | None
-    """None without sensors."""
-    seen: float
-    """Share of the joints in the image."""
+    prediction: Prediction  #: Of all clinical angles
+    shown: tuple[str, ...]  #: Angles that matter: those wanted, else all in one convention that the model does not fix
+    weaknesses: tuple[Weakness, ...]  #: Of these
+    cameras: tuple[Option, ...]  #: Best first
+    sensors: tuple[Option, ...]  #: Best first
+    calibration: CalibrationTime | None  #: None without sensors
+    seen: float  #: Share of the joints in the image
 
     @property
     def unreached(self) -> tuple[str, ...]:

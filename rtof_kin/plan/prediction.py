@@ -33,10 +33,8 @@ from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
-Progress = Callable[[int, int, str], None]
-"""Called with (simulated recordings done, in all, the last one)."""
-LEAST_SEEN: Final = 0.5
-"""Share of the frames below which an angle counts as unobserved."""
+Progress = Callable[[int, int, str], None]  #: Called with (simulated recordings done, in all, the last one)
+LEAST_SEEN: Final = 0.5  #: Share of the frames below which an angle counts as unobserved
 SETTINGS: Final = ReconstructionSettings(
     checks=False, sensor_joints=tuple(joint for joint, _ in SkeletonModel.default().sensors.values())
 )
@@ -48,16 +46,11 @@ class Prediction:
     """Expected errors of A clinical angles."""
 
     names: tuple[str, ...]
-    sigma: Array
-    """(A,) rad, root mean square over the movement of the standard deviations stated; NaN if unobserved."""
-    error: Array
-    """(A,) rad, root mean square difference from the planned movement in the simulations."""
-    inside: Array
-    """(A,) share of the differences inside the 95 % bands."""
-    observed: Array
-    """(A,) share of the frames in which the angle is observed."""
-    draws: int
-    """Simulated recordings."""
+    sigma: Array  #: (A,) rad, root mean square over the movement of the standard deviations stated; NaN if unobserved
+    error: Array  #: (A,) rad, root mean square difference from the planned movement in the simulations
+    inside: Array  #: (A,) share of the differences inside the 95 % bands
+    observed: Array  #: (A,) share of the frames in which the angle is observed
+    draws: int  #: Simulated recordings
 
     @classmethod
     def of(cls, results: Sequence[Mapping[str, Array]], names: tuple[str, ...]) -> Self:
@@ -148,8 +141,7 @@ def predict(
     return out
 
 
-SECONDS: Final = (5.0, 10.0, 20.0, 30.0)
-"""Lengths that are tried."""
+SECONDS: Final = (5.0, 10.0, 20.0, 30.0)  #: Lengths that are tried
 PLANTED: Final = {"delay": 0.04, "heading": np.radians(10.0), "mounting": np.radians(8.0)}
 """Standard deviations before the calibration: s; rad; rad per axis across the bone."""
 ENOUGH: Final = {"delay": 0.01, "heading": np.radians(5.0), "mounting": np.radians(5.0)}
@@ -169,12 +161,9 @@ _PRIORS: Final = CalibrationPriors(
 class CalibrationTime:
     """Standard deviations of the calibration by the length of the movement; n lengths."""
 
-    seconds: Array
-    """(n,) s."""
-    sigma: dict[str, Array]
-    """Kind of `PLANTED` -> (n,) stated, s or rad; of sensors the root mean square."""
-    error: dict[str, Array]
-    """The same of the errors that are left in the simulations."""
+    seconds: Array  #: (n,) s
+    sigma: dict[str, Array]  #: Kind of `PLANTED` -> (n,) stated, s or rad; of sensors the root mean square
+    error: dict[str, Array]  #: The same of the errors that are left in the simulations
 
     def needed(self, kind: str) -> float | None:
         """Return the shortest length, s, from which on a kind of `PLANTED` is observed, by statement and simulation."""

@@ -40,21 +40,15 @@ _PLACES: Final = {
 class Framing:
     """Place of a camera relative to a movement."""
 
-    distance: float
-    """[m] horizontal, from the middle of the pelvis' path."""
-    height: float
-    """[m] over the floor."""
+    distance: float  #: [m] horizontal, from the middle of the pelvis' path
+    height: float  #: [m] over the floor
     angle_deg: float
     """Direction of the camera from that middle, from the person's facing at the start: 0 in front, 90 to the
     person's left, -90 to the right."""
-    tilt_deg: float
-    """Of the optical axis, downwards."""
-    field_deg: tuple[float, float]
-    """Horizontal and vertical field of view."""
-    middle: Array
-    """(2,) m, of the pelvis' path."""
-    inside: float
-    """Share of frames with all landmarks in the picture."""
+    tilt_deg: float  #: Of the optical axis, downwards
+    field_deg: tuple[float, float]  #: Horizontal and vertical field of view
+    middle: Array  #: (2,) m, of the pelvis' path
+    inside: float  #: Share of frames with all landmarks in the picture
     margin: float
     """Least distance of a landmark from the border over all frames, share of the picture's height; negative
     outside, NaN where a landmark is behind the camera."""
@@ -154,18 +148,13 @@ _FIELD_OF_VIEW_DEG: Final = (10.0, 150.0)
 class CameraPlace:
     """Where a level camera stands, and its lens; it is aimed at the middle of the movement."""
 
-    angle_deg: float = 45.0
-    """[deg] see the module."""
-    distance_m: float = 4.0
-    """[m] horizontal, from the middle of the pelvis' path."""
-    height_m: float = 1.2
-    """[m] over the floor."""
-    focal_px: float = 1400.0
-    """[px] focal length."""
+    angle_deg: float = 45.0  #: [deg] see the module
+    distance_m: float = 4.0  #: [m] horizontal, from the middle of the pelvis' path
+    height_m: float = 1.2  #: [m] over the floor
+    focal_px: float = 1400.0  #: [px] focal length
     width_px: int = 1920
     height_px: int = 1080
-    rate_hz: float = 60.0
-    """[Hz] frames per second."""
+    rate_hz: float = 60.0  #: [Hz] frames per second
 
     def __post_init__(self) -> None:
         for name, (low, high) in _PLAUSIBLE.items():
@@ -201,28 +190,20 @@ class CameraPlace:
 class Protocol:
     """What is to be recorded."""
 
-    movement: str
-    """Name in the library, or folder of a motion."""
-    repetitions: int | None = None
-    """Of the movement; None for the usual number."""
-    height_m: float | None = None
-    """[m] standing height of the person; None for the skeleton's."""
+    movement: str  #: Name in the library, or folder of a motion
+    repetitions: int | None = None  #: Of the movement; None for the usual number
+    height_m: float | None = None  #: [m] standing height of the person; None for the skeleton's
     camera: CameraPlace = field(default_factory=CameraPlace)
-    sensors: tuple[str, ...] = ()
-    """Worn, names of the skeleton's table."""
-    possible_sensors: tuple[str, ...] | None = None
-    """Where one more could go; None: everywhere else."""
+    sensors: tuple[str, ...] = ()  #: Worn, names of the skeleton's table
+    possible_sensors: tuple[str, ...] | None = None  #: Where one more could go; None: everywhere else
     possible_cameras: tuple[CameraPlace, ...] | None = None
     """Places that the camera could have; None: eight directions at its distance and height."""
     any_camera: bool = False
     """Whether nothing is said about the camera's place, so that the best of the possible ones is planned."""
     detector: str = DETECTORS[0]
-    error_factor: float = 1.0
-    """[1] on the errors of the measured detector in the image."""
-    wanted: tuple[str, ...] = ()
-    """Clinical angles that matter; () for all."""
-    wanted_sd_deg: float | None = None
-    """[deg] standard deviation that they need."""
+    error_factor: float = 1.0  #: [1] on the errors of the measured detector in the image
+    wanted: tuple[str, ...] = ()  #: Clinical angles that matter; () for all
+    wanted_sd_deg: float | None = None  #: [deg] standard deviation that they need
 
     def __post_init__(self) -> None:
         skeleton = SkeletonModel.default()

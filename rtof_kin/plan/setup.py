@@ -38,19 +38,13 @@ _MEASURED: Final = DETECTORS[0]
 class Setup:
     """A movement, and what records it."""
 
-    poses: PoseSequence
-    """(T, J) the movement at the video's rate, finite everywhere, world z up."""
-    skeleton: SkeletonModel
-    """Of the person."""
+    poses: PoseSequence  #: (T, J) the movement at the video's rate, finite everywhere, world z up
+    skeleton: SkeletonModel  #: Of the person
     camera: Camera
-    sensors: tuple[str, ...]
-    """Names of the skeleton's table."""
-    detector: str = _MEASURED
-    """One of `protocol.DETECTORS`."""
-    error_factor: float = 1.0
-    """[1] on the errors in the image of the measured detector."""
-    floor_height: float | None = None
-    """[m] z of a flat floor that the recording declares; None if it declares none."""
+    sensors: tuple[str, ...]  #: Names of the skeleton's table
+    detector: str = _MEASURED  #: One of `protocol.DETECTORS`
+    error_factor: float = 1.0  #: [1] on the errors in the image of the measured detector
+    floor_height: float | None = None  #: [m] z of a flat floor that the recording declares; None if it declares none
 
     @property
     def mode(self) -> Mode:
@@ -103,8 +97,7 @@ def seen_share(setup: Setup) -> float:
     return float(np.mean(((uv >= 0) & (uv <= size)).all(axis=-1)))
 
 
-_LONGEST: Final = 30.0
-"""[s] of a movement that are planned with."""
+_LONGEST: Final = 30.0  #: [s] of a movement that are planned with
 
 
 @dataclass(frozen=True)
@@ -113,12 +106,9 @@ class Moved:
 
     poses: PoseSequence
     skeleton: SkeletonModel
-    camera: Camera | None
-    """That filmed it."""
-    sensors: tuple[str, ...]
-    """Worn, by the usual names of their segments."""
-    floor_height: float | None
-    """[m] z of a flat floor, where it is declared."""
+    camera: Camera | None  #: That filmed it
+    sensors: tuple[str, ...]  #: Worn, by the usual names of their segments
+    floor_height: float | None  #: [m] z of a flat floor, where it is declared
 
 
 def planned(

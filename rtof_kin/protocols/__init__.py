@@ -26,10 +26,8 @@ class Measured(NamedTuple):
 
     document: Document
     outcome: Outcome
-    written: list[Path]
-    """Files."""
-    problem: str
-    """Why nothing could be measured; '' if something was."""
+    written: list[Path]  #: Files
+    problem: str  #: Why nothing could be measured; '' if something was
 
 
 def protocol_of(name: str) -> type[Any]:

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 CSV: Final = "angle_errors.csv"
-HARDLY: Final = "the movements hardly agree at any shift"
-"""Of a motion whose clock was not found."""
+HARDLY: Final = "the movements hardly agree at any shift"  #: Of a motion whose clock was not found
 _COLUMNS: Final = {"joint angle": 0, "movement": 0, "takes": 0, "samples": 0, "RMSE": 1, "mean abs.": 1} | {
     "median abs.": 1,
     "RMSE, no offset": 1,

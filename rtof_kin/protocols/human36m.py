@@ -33,24 +33,15 @@ class Human36MProtocol(CameraProtocol):
     rate_hz = RATE_HZ
     skeleton = "human36m"
 
-    root: Path
-    """Folder of the archives."""
-    lifter: Path
-    """File of a 17-joint lifter; the shipped ones have 21 joints."""
-    cameras_file: Path | None = None
-    """File of cameras; by default one in the folder."""
-    keypoints: str = "gt"
-    """'gt', or the detector's part of the archive's name."""
-    subjects: tuple[str, ...] = SUBJECTS_TEST
-    """Subjects that are measured."""
-    actions: tuple[str, ...] = ()
-    """Names such as 'Walking', with or without their number; empty for all."""
-    cameras: tuple[int, ...] = CAMERAS
-    """Numbers of the cameras."""
-    modes: tuple[str, ...] = _VISION
-    """Stages to measure."""
-    save: Path | None = None
-    """Folder for the motions, if wanted."""
+    root: Path  #: Folder of the archives
+    lifter: Path  #: File of a 17-joint lifter; the shipped ones have 21 joints
+    cameras_file: Path | None = None  #: File of cameras; by default one in the folder
+    keypoints: str = "gt"  #: 'gt', or the detector's part of the archive's name
+    subjects: tuple[str, ...] = SUBJECTS_TEST  #: Subjects that are measured
+    actions: tuple[str, ...] = ()  #: Names such as 'Walking', with or without their number; empty for all
+    cameras: tuple[int, ...] = CAMERAS  #: Numbers of the cameras
+    modes: tuple[str, ...] = _VISION  #: Stages to measure
+    save: Path | None = None  #: Folder for the motions, if wanted
 
     def __post_init__(self) -> None:
         for name in ("subjects", "cameras", "modes"):

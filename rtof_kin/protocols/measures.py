@@ -29,8 +29,7 @@ from rtof_kin.reporting.document import Document, Figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
-NAMES: Final = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
-"""Modes, as figures call them."""
+NAMES: Final = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}  #: Modes, as figures call them
 _SNAPSHOTS: Final = 5
 
 
@@ -39,8 +38,7 @@ class CameraProtocol(ABC):
 
     title: ClassVar[str]
     rate_hz: ClassVar[float]
-    skeleton: ClassVar[str]
-    """Name of its table."""
+    skeleton: ClassVar[str]  #: Name of its table
     root: Path
     modes: tuple[str, ...]
     save: Path | None

@@ -98,8 +98,7 @@ class PublishedError(NamedTuple):
     """One published error of joint angles from one camera."""
 
     system: str
-    angle: str
-    """Joint angle of this package, or `ALL`."""
+    angle: str  #: Joint angle of this package, or `ALL`
     metric: Metric
     degrees: float
     source: str

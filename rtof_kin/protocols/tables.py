@@ -15,8 +15,7 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.reporting import document
 from rtof_kin.reporting.document import Cell, Document
 
-NAME: Final = "tables"
-"""Of the document: its files are ``tables.json`` and ``tables.md``."""
+NAME: Final = "tables"  #: Of the document: its files are ``tables.json`` and ``tables.md``
 
 
 STILL, LOW_PASSED = "no motion", "truth low-passed at 6 Hz"

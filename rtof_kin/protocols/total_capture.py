@@ -50,8 +50,7 @@ from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.vision.layouts import detector_table
 
 TEST_TAKES = ("walking2", "acting3", "freestyle3")
-CAMERAS = (1, 3, 4, 5, 6, 7, 8)
-"""All cameras but the miscalibrated camera 2."""
+CAMERAS = (1, 3, 4, 5, 6, 7, 8)  #: All cameras but the miscalibrated camera 2
 SENSOR_SETS = {
     "8": LIMB_SENSORS,
     "10": (*LIMB_SENSORS, "Pelvis", "Sternum"),
@@ -62,8 +61,7 @@ _NAMES: Final = (
     "Hips RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot Spine Neck Head "
     "LeftArm LeftForeArm LeftHand RightArm RightForeArm RightHand"
 )
-SIXTEEN = tuple(_NAMES.split())
-"""Joints of the multi-view papers (GeoFuse and those after it)."""
+SIXTEEN = tuple(_NAMES.split())  #: Joints of the multi-view papers (GeoFuse and those after it)
 SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 """Cameras of the multi-view papers, and their step between scored frames."""
 _LOW_PASS_HZ: Final = 6.0
@@ -78,39 +76,25 @@ class TotalCaptureProtocol(CameraProtocol):
     rate_hz = 60.0
     skeleton = "total_capture"
 
-    root: Path
-    """Folder of the dataset."""
-    subjects: tuple[str, ...] = SUBJECTS
-    """Subjects that are measured."""
-    takes: tuple[str, ...] = TEST_TAKES
-    """Takes of each subject; default: the paper's three test takes."""
-    cameras: tuple[int, ...] = CAMERAS
-    """Numbers of the cameras; camera 2 is miscalibrated."""
-    keypoints: Path | None = None
-    """Folder with a detector's 2D; default: ground-truth 2D."""
+    root: Path  #: Folder of the dataset
+    subjects: tuple[str, ...] = SUBJECTS  #: Subjects that are measured
+    takes: tuple[str, ...] = TEST_TAKES  #: Takes of each subject; default: the paper's three test takes
+    cameras: tuple[int, ...] = CAMERAS  #: Numbers of the cameras; camera 2 is miscalibrated
+    keypoints: Path | None = None  #: Folder with a detector's 2D; default: ground-truth 2D
     layout: str | None = None
     """Layout of the detector's points, such as body25, coco17 or mediapipe33, or auto to have it recognised; default:
     landmarks of the skeleton."""
-    noise_px: float = 0.0
-    """Standard deviation of white noise added to ground-truth 2D, px per axis."""
-    sensors: tuple[str, ...] = LIMB_SENSORS
-    """Names of the sensors, or 8, 10 or 13 for the sets of the paper."""
-    space: Space = SPACES[0]
-    """Variables of the fragment solver; the studies use those of the paper."""
-    modes: tuple[str, ...] = CAMERA_MODES
-    """Stages to measure."""
-    lifter: Path | None = None
-    """A file, or the name of a shipped one; the shipped default where not given."""
-    calibrate: bool = False
-    """Whether every take is self-calibrated first; the paper does not."""
+    noise_px: float = 0.0  #: Standard deviation of white noise added to ground-truth 2D, px per axis
+    sensors: tuple[str, ...] = LIMB_SENSORS  #: Names of the sensors, or 8, 10 or 13 for the sets of the paper
+    space: Space = SPACES[0]  #: Variables of the fragment solver; the studies use those of the paper
+    modes: tuple[str, ...] = CAMERA_MODES  #: Stages to measure
+    lifter: Path | None = None  #: A file, or the name of a shipped one; the shipped default where not given
+    calibrate: bool = False  #: Whether every take is self-calibrated first; the paper does not
     posture: bool = True
     """Whether the subject's neutral posture is taken from the take's first T-pose, as bone lengths are."""
-    studies: bool = True
-    """Whether fragment length and k_V are varied too."""
-    seed: int = 0
-    """Seed of the noise."""
-    save: Path | None = None
-    """Folder for the motions of every take, camera and mode, if wanted."""
+    studies: bool = True  #: Whether fragment length and k_V are varied too
+    seed: int = 0  #: Seed of the noise
+    save: Path | None = None  #: Folder for the motions of every take, camera and mode, if wanted
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "subjects", tuple(name.upper() for name in self.subjects))
@@ -277,8 +261,7 @@ def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel
 # --- tables of the paper, with the measured figures beside the published ones -----------------------
 
 Row = dict[str, Any]
-_SEEN: Final = ("S1", "S2", "S3")
-"""Subjects with other takes in the training set of the paper's lifter."""
+_SEEN: Final = ("S1", "S2", "S3")  #: Subjects with other takes in the training set of the paper's lifter
 _STUDIED: Final = ("mpjpe_rr_mm", "mpjpe_mm", "mpjje")
 _PRINTED: Final = {"paper: MPJPE [mm]": 2, "paper: MPJJE": 2}
 _MEASURED: Final = {"root-relative [mm]": 2, "absolute [mm]": 2, "MPJJE [m/s3]": 2}

@@ -53,42 +53,29 @@ from rtof_kin.vision.video import detect_video, write_detections
 from rtof_kin.vision.video_metadata import read_video_metadata
 
 SETS: Final = {one.name: one for one in (OpenCapValidation, Vidimu, Movi, Gaitex)}
-CAMERAS: Final = ("set", "unknown")
-"""The set's calibration, or none, as of a phone that was put anywhere."""
+CAMERAS: Final = ("set", "unknown")  #: The set's calibration, or none, as of a phone that was put anywhere
 TAKES: Final = "angle_errors_by_take.csv"
 _WITH_SENSORS: Final = ("sf2", "rtof", "imu")
-_DIFFERENCE, _SIGMA = "difference ", "sigma "
-"""Arrays of a result, before the name of the angle."""
+_DIFFERENCE, _SIGMA = "difference ", "sigma "  #: Arrays of a result, before the name of the angle
 
 
 @dataclass(frozen=True)
 class ValidationProtocol:
     """Settings of a validation."""
 
-    root: Path
-    """Folder of the data set."""
-    dataset: str
-    """One of `SETS`."""
-    takes: tuple[str, ...] = ("*",)
-    """Patterns of the names of takes, with * and ?."""
-    mode: Mode | None = None
-    """Of reconstruction; None for what the set has inputs for."""
-    lifter: Path | None = None
-    """A file, or the name of a shipped one; the shipped default where not given."""
-    camera: str = CAMERAS[0]
-    """One of `CAMERAS`."""
+    root: Path  #: Folder of the data set
+    dataset: str  #: One of `SETS`
+    takes: tuple[str, ...] = ("*",)  #: Patterns of the names of takes, with * and ?
+    mode: Mode | None = None  #: Of reconstruction; None for what the set has inputs for
+    lifter: Path | None = None  #: A file, or the name of a shipped one; the shipped default where not given
+    camera: str = CAMERAS[0]  #: One of `CAMERAS`
     keypoints: Path | None = None
     """Folder of detections by the name of the take or of its video, instead of the detector."""
-    models: Path | None = None
-    """Folder of the detector's models; None for what is at hand."""
-    heights: Mapping[str, float] | None = None
-    """Subject -> standing height, m, where the set has none."""
-    calibrate: bool = False
-    """Whether each take is calibrated from its own motion first."""
-    align: bool = True
-    """Whether the difference of the clocks is estimated; otherwise they are taken as equal."""
-    seconds: float | None = None
-    """[s] of each take that are used; None for all."""
+    models: Path | None = None  #: Folder of the detector's models; None for what is at hand
+    heights: Mapping[str, float] | None = None  #: Subject -> standing height, m, where the set has none
+    calibrate: bool = False  #: Whether each take is calibrated from its own motion first
+    align: bool = True  #: Whether the difference of the clocks is estimated; otherwise they are taken as equal
+    seconds: float | None = None  #: [s] of each take that are used; None for all
     size_px: tuple[int, int] | None = None
     """Width and height of the image, for detections without a video or a calibration."""
 
@@ -173,12 +160,9 @@ class ValidationJob:
 
     protocol: ValidationProtocol
     take: Take
-    folder: Path
-    """For the recording, the files that it is made from, and the motion."""
-    detections: Path | None = None
-    """In the whole video."""
-    problem: str = ""
-    """Why there are no detections."""
+    folder: Path  #: For the recording, the files that it is made from, and the motion
+    detections: Path | None = None  #: In the whole video
+    problem: str = ""  #: Why there are no detections
 
 
 def differences(outcome: Outcome) -> tuple[AngleDifferences, ...]:

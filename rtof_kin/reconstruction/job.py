@@ -19,8 +19,7 @@ from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
-_LOWEST_ANKLE: Final = 0.02
-"""[m] Lowest ankle over a floor; a lower estimate has another cause."""
+_LOWEST_ANKLE: Final = 0.02  #: [m] Lowest ankle over a floor; a lower estimate has another cause
 
 
 @dataclass(frozen=True)

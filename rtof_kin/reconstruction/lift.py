@@ -54,10 +54,8 @@ def shipped_lifter() -> LifterLike:
 class Lifted:
     """Result of the lifting stage."""
 
-    poses: PoseSequence
-    """Orientations follow from positions where the lifter gives none."""
-    R_world_bone: Array
-    """(T, J, 3, 3) orientations that the lifter gives itself; NaN where it gives none."""
+    poses: PoseSequence  #: Orientations follow from positions where the lifter gives none
+    R_world_bone: Array  #: (T, J, 3, 3) orientations that the lifter gives itself; NaN where it gives none
     sigma_m: Array
     """(T, J, 2) standard deviations across and along the camera's ray (`lifting.predict.LiftedPoses`), m; NaN
     where unknown, and of several cameras."""
@@ -117,12 +115,9 @@ def lift(
 
 _JOINT: Final = np.array([0.03, 0.08])
 """[m] Standard deviations across and along the ray of a joint about the root where a lifter states none."""
-_ROOT: Final = np.array([0.03, 0.3])
-"""[m] The same of the root."""
-_RAD: Final = 0.2
-"""[rad] The same of an orientation."""
-_UNSEEN: Final = 1e-6
-"""Weight of a camera that did not see the person, relative to one that did."""
+_ROOT: Final = np.array([0.03, 0.3])  #: [m] The same of the root
+_RAD: Final = 0.2  #: [rad] The same of an orientation
+_UNSEEN: Final = 1e-6  #: Weight of a camera that did not see the person, relative to one that did
 
 
 def fused(lifts: Sequence[Lifted], cameras: Sequence[KeypointSequence], skeleton: SkeletonModel) -> Lifted:

@@ -202,8 +202,7 @@ _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 class PartFindings:
     """What was found in one part."""
 
-    start: float
-    """Time of its first frame, s."""
+    start: float  #: Time of its first frame, s
     checks: tuple[Check, ...]
     warnings: tuple[str, ...]
 
@@ -241,8 +240,7 @@ def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
     return tuple(out)
 
 
-_Own = list[tuple[float, Check]]
-"""Start of a part, s, and its check."""
+_Own = list[tuple[float, Check]]  #: Start of a part, s, and its check
 
 
 def _alike(parts: Sequence[PartFindings]) -> Iterator[_Own]:

@@ -43,19 +43,13 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.streams import RecordingSource
 
-PART_SECONDS: Final = 30.0
-"""[s] Length of a part without its margins."""
-MARGIN_SECONDS: Final = 2.0
-"""[s] by which a part is longer at either end, or two fragments where these are longer."""
-LONG_SECONDS: Final = 120.0
-"""[s] Recordings beyond this are reconstructed in parts, see `is_long`."""
-_STEP_SECONDS: Final = 2.0
-"""[s] by which video and sensors may be out of step."""
+PART_SECONDS: Final = 30.0  #: [s] Length of a part without its margins
+MARGIN_SECONDS: Final = 2.0  #: [s] by which a part is longer at either end, or two fragments where these are longer
+LONG_SECONDS: Final = 120.0  #: [s] Recordings beyond this are reconstructed in parts, see `is_long`
+_STEP_SECONDS: Final = 2.0  #: [s] by which video and sensors may be out of step
 _SLICES: Final = 12
-_SLICE_SECONDS: Final = 4.0
-"""Number and length [s] of the slices of a recording by which it is calibrated."""
-_FEW_HZ: Final = 5.0
-"""Frames per second that show where in a recording the person is and moves."""
+_SLICE_SECONDS: Final = 4.0  #: Number and length [s] of the slices of a recording by which it is calibrated
+_FEW_HZ: Final = 5.0  #: Frames per second that show where in a recording the person is and moves
 
 
 @dataclass(frozen=True)
@@ -63,11 +57,9 @@ class Part:
     """Frames of a part, of the whole recording."""
 
     start: int
-    stop: int
-    """Frames [start, stop) that are kept."""
+    stop: int  #: Frames [start, stop) that are kept
     first: int
-    last: int
-    """Frames [first, last) with the margins."""
+    last: int  #: Frames [first, last) with the margins
 
     @property
     def kept(self) -> slice:

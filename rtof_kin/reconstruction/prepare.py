@@ -27,10 +27,8 @@ from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.vision.outlier_rejection import gaps, reject_keypoint_outliers
 
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, steps done, steps in all)."""
-_SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0
-"""Frame rates that a video of a moving person may have."""
+Progress = Callable[[str, int, int], None]  #: Called with (stage, steps done, steps in all)
+_SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0  #: Frame rates that a video of a moving person may have
 _log = logging.getLogger(__name__)
 
 
@@ -42,16 +40,12 @@ class Prepared:
     """Streams without outliers, keypoints evenly spaced, those of further cameras at the same times."""
     skeleton: SkeletonModel
     lifted: Lifted
-    bone_imus: BoneImuSequence | None
-    """Calibrated sensors at the keypoints' times, in the modes that use sensors."""
-    stages: dict[str, PoseSequence]
-    """Poses after 'lift' and, with sensors, 'sf2'."""
-    start: PoseSequence
-    """Poses that the solver starts from: those of SF2; without sensors the lift with rigid bones."""
+    bone_imus: BoneImuSequence | None  #: Calibrated sensors at the keypoints' times, in the modes that use sensors
+    stages: dict[str, PoseSequence]  #: Poses after 'lift' and, with sensors, 'sf2'
+    start: PoseSequence  #: Poses that the solver starts from: those of SF2; without sensors the lift with rigid bones
     outliers: tuple[StreamFault, ...]
     settings: ReconstructionSettings
-    calibration: SelfCalibration | None = None
-    """The self-calibration that was applied to the recording before."""
+    calibration: SelfCalibration | None = None  #: The self-calibration that was applied to the recording before
     rejected: tuple[StreamFault, ...] = ()
     """Intervals of sensors that are not used because they contradict the motion, by segment."""
 

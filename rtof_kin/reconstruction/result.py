@@ -34,10 +34,8 @@ class Choices:
     """How a reconstruction was made."""
 
     calibrate: Calibrate = "no"
-    known: bool = False
-    """A calibration of another recording of the same person was applied."""
-    lifter: str | None = None
-    """Name or file of the lifter."""
+    known: bool = False  #: A calibration of another recording of the same person was applied
+    lifter: str | None = None  #: Name or file of the lifter
     settings: ReconstructionSettings | None = None
     """As used, with those of the fragment solver in the modes that optimise."""
 
@@ -65,44 +63,30 @@ class Choices:
 class Reconstruction:
     """The result of `reconstruct`."""
 
-    recording: Recording
-    """Input after self-calibration."""
+    recording: Recording  #: Input after self-calibration
     mode: Mode
-    motion: Motion
-    """Configurations, poses, flags and, in modes rto and rtof in joint space, pose covariances."""
-    stages: dict[str, PoseSequence]
-    """Poses after each stage by mode name; the first one of mode imu is 'start'."""
-    keypoints: KeypointSequence | None
-    """Keypoints as used, evenly spaced in time; None in mode imu."""
-    bone_imus: BoneImuSequence | None
-    """Calibrated sensors at the motion's times; None in modes without sensors."""
-    solution: FragmentSolution | None
-    """Report of the fragment solver, in the modes that optimise."""
-    metrics: Metrics | None
-    """Errors against the recording's truth; None without one."""
-    stage_metrics: dict[str, Metrics]
-    """The same for every stage; empty without truth."""
+    motion: Motion  #: Configurations, poses, flags and, in modes rto and rtof in joint space, pose covariances
+    stages: dict[str, PoseSequence]  #: Poses after each stage by mode name; the first one of mode imu is 'start'
+    keypoints: KeypointSequence | None  #: Keypoints as used, evenly spaced in time; None in mode imu
+    bone_imus: BoneImuSequence | None  #: Calibrated sensors at the motion's times; None in modes without sensors
+    solution: FragmentSolution | None  #: Report of the fragment solver, in the modes that optimise
+    metrics: Metrics | None  #: Errors against the recording's truth; None without one
+    stage_metrics: dict[str, Metrics]  #: The same for every stage; empty without truth
     root_sigma: Array | None = None
     """(T,) m, standard deviation of each horizontal root coordinate since the first frame, in mode imu,
     where it drifts; NaN where the root is unobserved."""
-    faults: tuple[StreamFault, ...] = ()
-    """Faults of keypoints and sensors, and how they were handled."""
-    warnings: tuple[str, ...] = ()
-    """Limitations of the motion, in sentences."""
-    calibration: SelfCalibration | None = None
-    """The self-calibration that was applied."""
+    faults: tuple[StreamFault, ...] = ()  #: Faults of keypoints and sensors, and how they were handled
+    warnings: tuple[str, ...] = ()  #: Limitations of the motion, in sentences
+    calibration: SelfCalibration | None = None  #: The self-calibration that was applied
     delay: Quantity | None = None
     """Delay of the video relative to the sensors' clock, found before the calibration; None without sensors
     or where the motion does not show it."""
     camera: CameraEstimate | None = None
     """What was assumed and found of a camera that is not calibrated; None for a calibrated one."""
-    checks: tuple[Check, ...] = ()
-    """Checks of what the recording declares; failed ones name a likely cause."""
+    checks: tuple[Check, ...] = ()  #: Checks of what the recording declares; failed ones name a likely cause
     choices: Choices = field(default_factory=Choices)
-    position_errors: PositionErrors | None = None
-    """What is left open of positions in world; None without keypoints."""
-    parts: tuple[Reconstruction, ...] = ()
-    """Those that a long recording was reconstructed in."""
+    position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
+    parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:

@@ -13,8 +13,7 @@ from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 
-RIGID_MM: Final = 1.0
-"""Largest spread of a bone of a skeleton that was solved for, mm."""
+RIGID_MM: Final = 1.0  #: Largest spread of a bone of a skeleton that was solved for, mm
 TRIANGULATED_MM: Final = 50.0
 """Largest spread of the distance of two joints that were measured one by one, mm; 10-37 with four cameras."""
 SIZE, SIZE_FACTOR = 1.9, 2.4
@@ -24,8 +23,7 @@ FOCAL, FOCAL_FACTOR = 1.2, 5.0
 CENTRE, ASPECT = 7.0, 3.0
 """Largest offset of the principal point from the centre, % of the width; largest difference of the focal
 lengths, %."""
-REPROJECTION_PX: Final = 20.0
-"""Largest median reprojection error, px; detectors are off by up to 13 px."""
+REPROJECTION_PX: Final = 20.0  #: Largest median reprojection error, px; detectors are off by up to 13 px
 UNITS_M: Final = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
 """Units of length, m."""
 _BONES: Final = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))

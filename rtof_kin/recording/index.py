@@ -27,11 +27,9 @@ from rtof_kin.recording.streams import Source, Stream, Streams, data_path, namin
 from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
 
 INDEX: Final = "recording.toml"
-UNFINISHED: Final = PurePath("live", "setup")
-"""Folder that a live session makes first."""
+UNFINISHED: Final = PurePath("live", "setup")  #: Folder that a live session makes first
 SCHEMA_VERSION: Final = 1
-SKELETONS: Final = ("total_capture", "human36m")
-"""Tables of skeletons that a recording may name."""
+SKELETONS: Final = ("total_capture", "human36m")  #: Tables of skeletons that a recording may name
 _TRUTH_AXES: Final = {
     "times": 1,
     "p_world_joint": 3,
@@ -41,10 +39,8 @@ _TRUTH_AXES: Final = {
     "orientation_observed": 2,
 }
 """Number of axes of arrays with a row for each sample; with fewer they hold for all samples."""
-TRUTH: Final = tuple(_TRUTH_AXES)
-"""Fields of `PoseSequence` in a file."""
-shipped = cache(SkeletonModel.named)
-"""Skeleton of a table."""
+TRUTH: Final = tuple(_TRUTH_AXES)  #: Fields of `PoseSequence` in a file
+shipped = cache(SkeletonModel.named)  #: Skeleton of a table
 
 
 def index_of(folder: Path) -> RecordingTable:

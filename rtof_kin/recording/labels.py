@@ -14,16 +14,11 @@ from rtof_kin.core.errors import InvalidInputError
 class Session:
     """Labels of one session; '' where unknown."""
 
-    subject: str = ""
-    """Name or code of the person recorded."""
-    operator: str = ""
-    """Person who made the recording."""
-    date: str = ""
-    """Day of the recording, as 2026-01-31."""
-    place: str = ""
-    """Place of the recording."""
-    protocol: str = ""
-    """Task of the subject."""
+    subject: str = ""  #: Name or code of the person recorded
+    operator: str = ""  #: Person who made the recording
+    date: str = ""  #: Day of the recording, as 2026-01-31
+    place: str = ""  #: Place of the recording
+    protocol: str = ""  #: Task of the subject
 
     def __post_init__(self) -> None:
         if not self.date:

@@ -46,48 +46,35 @@ _TRUTH: Final = "truth.npz"
 class Recording(RecordingSource):
     """All inputs of one take: what the pipeline starts from."""
 
-    name: str
-    """Title in reports."""
+    name: str  #: Title in reports
     keypoints: KeypointSequence | None = None
     """2D landmarks of the skeleton and their camera; None without a camera, then there are IMUs."""
     imus: ImuSequence | None = None
     """Sensor data on the keypoints' clock, at their own times; `ImuSequence.joined` joins several."""
-    calibration: ImuCalibration | None = None
-    """Mounting and heading of each of those sensors."""
-    skeleton_table: str = "total_capture"
-    """Table of the subject's skeleton: 'total_capture' or 'human36m'."""
+    calibration: ImuCalibration | None = None  #: Mounting and heading of each of those sensors
+    skeleton_table: str = "total_capture"  #: Table of the subject's skeleton: 'total_capture' or 'human36m'
     joint_offsets: Array = field(default_factory=lambda: np.empty((0, 3)))
     """(J, 3) each joint in its parent's link frame, m. By default the table's, scaled to the height and
     then to the bone lengths."""
     bone_lengths: Mapping[str, float] | None = None
     """Child joint -> measured distance from its parent, m, for some or all bones."""
-    height: float | None = None
-    """Standing height, m."""
-    mass_kg: float | None = None
-    """Body mass, kg."""
-    sex: str | None = None
-    """'male', 'female' or None where unknown."""
-    floor_height: float | None = None
-    """z of a flat floor in world, m; None where there is none or it is unknown."""
+    height: float | None = None  #: Standing height, m
+    mass_kg: float | None = None  #: Body mass, kg
+    sex: str | None = None  #: 'male', 'female' or None where unknown
+    floor_height: float | None = None  #: z of a flat floor in world, m; None where there is none or it is unknown
     posture: NeutralPosture | None = None
     """The person's T-pose in the skeleton's link frames, where a reference shows it."""
     model_prior: PosePrior | None = None
     """Pose prior of the model in use, which is no part of the folder; None for the shipped one."""
-    truth: PoseSequence | None = None
-    """Known poses in world at their own times, joints in the skeleton's order."""
-    first_frame: int = 0
-    """Index of the first video frame in the take that this was cut from; a label only."""
-    acknowledgement: str = ""
-    """Text that the data's owner asks to be printed with the results."""
-    notes: str = ""
-    """Free text."""
-    session: Session = field(default_factory=Session)
-    """Labels of the session."""
+    truth: PoseSequence | None = None  #: Known poses in world at their own times, joints in the skeleton's order
+    first_frame: int = 0  #: Index of the first video frame in the take that this was cut from; a label only
+    acknowledgement: str = ""  #: Text that the data's owner asks to be printed with the results
+    notes: str = ""  #: Free text
+    session: Session = field(default_factory=Session)  #: Labels of the session
     views: tuple[KeypointSequence, ...] = ()
     """Further cameras of the same person on the same clock, at times of their own; the first camera is that
     of `keypoints`."""
-    is_part: bool = False
-    """Whether it was cut from a longer recording, on which the clocks were checked."""
+    is_part: bool = False  #: Whether it was cut from a longer recording, on which the clocks were checked
 
     def __post_init__(self) -> None:
         if self.keypoints is None and self.imus is None:
@@ -314,8 +301,7 @@ class Recording(RecordingSource):
         return index
 
 
-_LABELS: Final = ("name", "session", "notes")
-"""Fields and tables of ``recording.toml`` that nothing is computed from."""
+_LABELS: Final = ("name", "session", "notes")  #: Fields and tables of ``recording.toml`` that nothing is computed from
 
 
 def recording_digest(index: str, streams: Streams) -> str:

@@ -29,12 +29,10 @@ from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.streams import ALL, Source, Stream, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import OF_MAKERS, ImusTable
 
-IMUS: Final = "imus.npz"
-"""File of a recording's sensors that this package writes."""
+IMUS: Final = "imus.npz"  #: File of a recording's sensors that this package writes
 _QUATERNION_TOLERANCE: Final = 1e-3
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
-_IMU_AXES: Final = {"quat_wxyz": 3, "R_inertial_sensor": 4, "f_sensor": 3, "times": 1}
-"""Number of axes of the arrays."""
+_IMU_AXES: Final = {"quat_wxyz": 3, "R_inertial_sensor": 4, "f_sensor": 3, "times": 1}  #: Number of axes of the arrays
 _log = logging.getLogger(__name__)
 
 

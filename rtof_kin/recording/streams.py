@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
 ALL: Final = slice(None)
-BLOCK: Final = 2048
-"""Rows that are checked at once."""
+BLOCK: Final = 2048  #: Rows that are checked at once
 
 
 def rows_between(times: Array, start_s: float, stop_s: float) -> slice:
@@ -42,10 +41,8 @@ def rows_between(times: Array, start_s: float, stop_s: float) -> slice:
 class Stream(Generic[Part]):
     """Samples of one kind in a recording."""
 
-    times: Array
-    """(T,) s."""
-    part: Callable[[slice], Part]
-    """Samples of some rows, at least one; of `ALL` they are checked as a whole."""
+    times: Array  #: (T,) s
+    part: Callable[[slice], Part]  #: Samples of some rows, at least one; of `ALL` they are checked as a whole
 
     def __len__(self) -> int:
         return len(self.times)
@@ -101,8 +98,7 @@ class RecordingSource(ABC):
     Its time axis is that of the frames of its first camera, or of the samples of its sensors.
     """
 
-    name: str
-    """Title in reports."""
+    name: str  #: Title in reports
 
     @property
     @abstractmethod
@@ -169,12 +165,9 @@ Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Ar
 class Table:
     """Arrays of a file, float64: most have one row for each sample, the others are constant."""
 
-    whole: Mapping[str, Array]
-    """Arrays in memory."""
-    with_rows: frozenset[str] = frozenset()
-    """Those of them that have one row for each sample."""
-    scratch: ScratchArrays | None = None
-    """Further arrays with rows, in temporary files."""
+    whole: Mapping[str, Array]  #: Arrays in memory
+    with_rows: frozenset[str] = frozenset()  #: Those of them that have one row for each sample
+    scratch: ScratchArrays | None = None  #: Further arrays with rows, in temporary files
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -43,11 +43,9 @@ from rtof_kin.formats.world_axes import UP
 from rtof_kin.inertial.orientation import HELD
 from rtof_kin.vision.layouts import detector_table
 
-SCHEMA: Final = Path(__file__).with_name("recording.schema.json")
-"""JSON Schema 2020-12 of the file, for editors."""
+SCHEMA: Final = Path(__file__).with_name("recording.schema.json")  #: JSON Schema 2020-12 of the file, for editors
 OWN_LAYOUT: Final = "joints"
-RECOGNISE: Final = "auto"
-"""Layout of a detector that is to be recognised."""
+RECOGNISE: Final = "auto"  #: Layout of a detector that is to be recognised
 
 OF_MAKERS: Final = ("first_sample_s", "map", "sensor_map", *CHOICES)
 """Fields of ``[imus]`` for the files of sensors' makers."""

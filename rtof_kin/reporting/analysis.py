@@ -57,8 +57,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 MARKER: Final = "angles.csv"
-_BLOCK: Final = 3600
-"""Rows of a table that are formatted at once."""
+_BLOCK: Final = 3600  #: Rows of a table that are formatted at once
 _STRIDE: Final = ("side", "start_s", "toe_off_s", "stop_s", "stride_length_m")  # names of the fields of a `Stride`
 _DIGITS: Final = 9  # after the point, of what is written
 _ALL: Final = 17  # significant digits: a number as it is
@@ -80,12 +79,9 @@ _ANGLES_JSON: Final = {
 class _Series:
     """Rows of a time and numbers, computed a block at a time, so that an hour is never text at once."""
 
-    times: Array
-    """(T,) s."""
-    values: Callable[[slice], NDArray[Any]]
-    """Frames -> numbers (N, ...)."""
-    words: Callable[[int], str] | None = None
-    """Frame -> a text behind the time."""
+    times: Array  #: (T,) s
+    values: Callable[[slice], NDArray[Any]]  #: Frames -> numbers (N, ...)
+    words: Callable[[int], str] | None = None  #: Frame -> a text behind the time
 
     def __iter__(self) -> Iterator[list[Cell]]:
         for start in range(0, len(self.times), _BLOCK):
@@ -393,8 +389,7 @@ def _degrees(radians: float) -> float | None:
 
 # --- figures -------------------------------------------------------------------------------------
 
-MOST_DRAWN: Final = 10_000
-"""Largest number of samples of a curve; an image has fewer columns of pixels."""
+MOST_DRAWN: Final = 10_000  #: Largest number of samples of a curve; an image has fewer columns of pixels
 SHOWN: Final = (
     *("pelvis_tilt", "pelvis_list", "spine_flexion", "hip_flexion", "hip_adduction", "hip_internal_rotation"),
     *("knee_flexion", "ankle_dorsiflexion", "ankle_inversion"),

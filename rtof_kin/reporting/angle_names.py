@@ -78,16 +78,11 @@ def plain_words(text: str, table: AngleTable) -> str:
 class AngleName:
     """Name of an angle, the same for both sides."""
 
-    clinical: str
-    """E.g. 'knee flexion'."""
-    opensim: str
-    """OpenSim coordinates without sign, e.g. 'knee_angle_r, _l'; '' if there are none."""
-    opposite: bool
-    """Whether OpenSim's coordinate has the opposite sign."""
-    positive: str
-    """The movement that is positive."""
-    shown: str
-    """Conventions in which the angle is shown, separated by spaces."""
+    clinical: str  #: E.g. 'knee flexion'.
+    opensim: str  #: OpenSim coordinates without sign, e.g. 'knee_angle_r, _l'; '' if there are none.
+    opposite: bool  #: Whether OpenSim's coordinate has the opposite sign
+    positive: str  #: The movement that is positive
+    shown: str  #: Conventions in which the angle is shown, separated by spaces
 
     @property
     def opensim_title(self) -> str:

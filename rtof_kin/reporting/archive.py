@@ -31,8 +31,7 @@ from rtof_kin.recording.labels import Session
 from rtof_kin.recording.recording import Recording
 
 SUMS: Final = "SHA256SUMS"
-LEFT_OUT: Final = "[left out]"
-"""In place of a name or path in a text of ``summary.json``."""
+LEFT_OUT: Final = "[left out]"  #: In place of a name or path in a text of ``summary.json``
 _SUMMARY: Final = (
     "mode verdict frames rate_hz parts skeleton height_m sensors provenance valid_share dofs_from_prior "
     "limit_violations_deg singular_share mean_sigma_m settings inputs audit stream_faults warnings "
@@ -40,11 +39,9 @@ _SUMMARY: Final = (
 )
 _INPUTS: Final = "software first_frame floor_height_m camera cameras camera_estimate sensors calibration"
 """Fields of ``summary.json``, and of its inputs, that are kept."""
-_OF_RUN: Final = ("recording", "joined")
-"""Recordings beside the motion in the output of `run`."""
+_OF_RUN: Final = ("recording", "joined")  #: Recordings beside the motion in the output of `run`
 _PATH: Final = r"(?<![\w.])(?:~?/[\w.]|[A-Za-z]:[\\/]|\\\\|file:)\S*|\S+\.(?:mp4|mov|avi|mkv|m4v|webm|jpe?g|png)\b"
-_SHORTEST: Final = 3
-"""Letters of a name that is searched for."""
+_SHORTEST: Final = 3  #: Letters of a name that is searched for
 
 
 def write_result_archive(

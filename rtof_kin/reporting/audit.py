@@ -39,11 +39,9 @@ _DETECTORS: Final = (
 _USER: Final = "a convention of this report"
 _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
 """Limits of the share of unseen frames, of points that are out of sight in most views from side or back."""
-_MANY: Final = 8
-"""Sensors beyond which more are no remedy."""
+_MANY: Final = 8  #: Sensors beyond which more are no remedy
 _WIDE_M: Final = 0.5
-_SHORT_S: Final = 0.15
-"""[s] of a fault that was mended and hardly matters."""
+_SHORT_S: Final = 0.15  #: [s] of a fault that was mended and hardly matters
 _POSITION: Final = "position in the room"
 _CORRECTION: Final = "correction in standard deviations of the prior"
 _SIGMAS: Final = "3 and 6 standard deviations"

@@ -52,8 +52,7 @@ class Grade(Enum):
     PASS = "pass"
     WARN = "warn"
     FAIL = "fail"
-    WEAK = "weakly observed"
-    """Within its limits, but hardly observable from the data: not a pass."""
+    WEAK = "weakly observed"  #: Within its limits, but hardly observable from the data: not a pass
     NOT_CHECKED = "not checked"
     INFORMATION = "for information"
 
@@ -66,27 +65,17 @@ WORST_FIRST: Final = (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.PASS, Grade.INFO
 class AuditResult:
     """One figure graded against its limits, where larger is worse; or a remark in words."""
 
-    section: str
-    """One of `SECTIONS`."""
-    name: str
-    """Name of the figure; '' if the note is the whole result."""
-    subject: str
-    """A landmark, a sensor, an angle or the whole."""
-    value: float
-    """NaN if it could not be computed; then `note` gives the reason."""
-    unit: str
-    """Unit of the value and its limits; '' for none."""
-    warn: float = math.inf
-    """The figure warns above this limit; infinite for a figure without limits."""
-    fail: float = math.inf
-    """The figure fails above this limit."""
+    section: str  #: One of `SECTIONS`
+    name: str  #: Name of the figure; '' if the note is the whole result
+    subject: str  #: A landmark, a sensor, an angle or the whole
+    value: float  #: NaN if it could not be computed; then `note` gives the reason
+    unit: str  #: Unit of the value and its limits; '' for none
+    warn: float = math.inf  #: The figure warns above this limit; infinite for a figure without limits
+    fail: float = math.inf  #: The figure fails above this limit
     source: str = ""
-    note: str = ""
-    """Possible cause of a value above its limits, or why there is no value."""
-    at: float = math.nan
-    """[s] time of the worst value; NaN if not applicable."""
-    weak: bool = False
-    """Whether the value is hardly observable from the data."""
+    note: str = ""  #: Possible cause of a value above its limits, or why there is no value
+    at: float = math.nan  #: [s] time of the worst value; NaN if not applicable
+    weak: bool = False  #: Whether the value is hardly observable from the data
 
     def __post_init__(self) -> None:
         if self.section not in SECTIONS:
@@ -166,10 +155,8 @@ class SectionVerdict:
     """Verdict on one section."""
 
     section: str
-    grade: Grade
-    """Worst grade of its figures; NOT_CHECKED without any."""
-    reasons: tuple[str, ...]
-    """Why it is not a pass, and further remarks."""
+    grade: Grade  #: Worst grade of its figures; NOT_CHECKED without any
+    reasons: tuple[str, ...]  #: Why it is not a pass, and further remarks
 
     @property
     def title(self) -> str:
@@ -208,8 +195,7 @@ def result_lines(results: Sequence[AuditResult], grade: Grade) -> Iterator[str]:
 
 
 _UNCHECKED: Final = 3  # largest number of unchecked things that are named
-_ALONE: Final = "for the angles; "
-"""Beginning of the text where the angles pass and the position in the room does not."""
+_ALONE: Final = "for the angles; "  #: Beginning of the text where the angles pass and the position in the room does not
 _ROOM: Final = {
     Grade.FAIL: "fails",
     Grade.WARN: "uncertain",
@@ -222,15 +208,11 @@ _ROOM: Final = {
 class Headline:
     """Overall verdicts of an audit."""
 
-    grade: Grade
-    """Of angles and pose relative to the root: FAIL or WARN if any result does; else PASS if any passes."""
-    text: str
-    """One line about both, without the grade."""
+    grade: Grade  #: Of angles and pose relative to the root: FAIL or WARN if any result does; else PASS if any passes
+    text: str  #: One line about both, without the grade
     sections: tuple[SectionVerdict, ...]
-    room: Grade | None = None
-    """Of the position in the room; None where nothing is said about it."""
-    room_text: str = ""
-    """The sentence about the position in the room, a part of `text`."""
+    room: Grade | None = None  #: Of the position in the room; None where nothing is said about it
+    room_text: str = ""  #: The sentence about the position in the room, a part of `text`
 
     @property
     def line(self) -> str:

@@ -12,8 +12,7 @@ from rtof_kin.clinical.torques import NO_WEIGHT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.reporting.audit_results import AuditResult
 
-SECOND_PELVIS: Final = "pelvis_opensim"
-"""Prefix of the pelvis angles in OpenSim's sequence, which a report omits."""
+SECOND_PELVIS: Final = "pelvis_opensim"  #: Prefix of the pelvis angles in OpenSim's sequence, which a report omits
 WIDEST: Final = (10.0, 30.0)  # [deg] half widths of the 95 % band of an angle that warn and fail
 NO_BANDS: Final = "this mode of reconstruction provides no standard deviations"
 _USER: Final = "a convention of this report"

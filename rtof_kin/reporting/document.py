@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Cell = str | float | None
-STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}
-"""Grade -> style of a badge on the terminal."""
+STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}  #: Grade -> style of a badge on the terminal
 GRADE_WORDS: Final = {
     Grade.PASS: "good",
     Grade.WARN: "use with care",
@@ -53,8 +52,7 @@ _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 class Badge(str):
     """A text with a grade, shown by colour, sign and word."""
 
-    grade: str
-    """'pass', 'warn', 'fail', 'not-checked', ..., as in the style sheet."""
+    grade: str  #: 'pass', 'warn', 'fail', 'not-checked', ..., as in the style sheet
 
     def __new__(cls, word: str, grade: str) -> Self:
         """Make a badge of a word."""
@@ -68,19 +66,14 @@ class Table:
     """A table, with units in the names of its columns."""
 
     columns: Sequence[str]
-    rows: Iterable[Sequence[Cell]]
-    """In CSV and JSON with all digits."""
+    rows: Iterable[Sequence[Cell]]  #: In CSV and JSON with all digits
     title: str = ""
-    notes: Sequence[str] = ()
-    """Sentences under the table."""
+    notes: Sequence[str] = ()  #: Sentences under the table
     digits: Sequence[int | None] = ()
     """Digits after the point in each column, for readers; None: up to six significant ones."""
-    kind: str = ""
-    """Class in the style sheet."""
-    row_headers: bool = False
-    """Whether the first cell of a row is its header."""
-    attributes: Sequence[Mapping[str, str]] = ()
-    """HTML attributes of each row."""
+    kind: str = ""  #: Class in the style sheet
+    row_headers: bool = False  #: Whether the first cell of a row is its header
+    attributes: Sequence[Mapping[str, str]] = ()  #: HTML attributes of each row
 
     @classmethod
     def of(cls, records: Sequence[Mapping[str, Cell]]) -> Self:
@@ -108,10 +101,8 @@ class Table:
 class Figure:
     """A figure, drawn when it is written, where matplotlib is installed."""
 
-    name: str
-    """Path in the folder without suffix, e.g. 'figures/gait'."""
-    alt: str
-    """What it shows, for those who cannot see it."""
+    name: str  #: Path in the folder without suffix, e.g. 'figures/gait'.
+    alt: str  #: What it shows, for those who cannot see it
     draw: Callable[[], Plot]
 
 
@@ -119,44 +110,32 @@ class Figure:
 class Section:
     """A part of the page: paragraphs, HTML, lists (tuples), definitions (mappings), tables, figures, sections."""
 
-    name: str
-    """Identifier; '' within other sections."""
+    name: str  #: Identifier; '' within other sections
     title: str
     parts: Sequence[str | Markup | tuple[str, ...] | Mapping[str, str] | Table | Figure | Section]
-    folded: bool = False
-    """Whether it is opened by the reader, and not printed unless opened."""
+    folded: bool = False  #: Whether it is opened by the reader, and not printed unless opened
 
 
 @dataclass(frozen=True)
 class Document:
     """What a study has to say."""
 
-    name: str
-    """Of its files, without suffix."""
+    name: str  #: Of its files, without suffix
     title: str
-    headline: str
-    """The sentence that a reader sees first."""
-    sentences: Sequence[str] = ()
-    """Those that follow it."""
-    cautions: Sequence[str] = ()
-    """What to be careful about."""
-    alarm: bool = False
-    """Whether the headline says that the result may be worthless."""
-    printed: Sequence[Table | str] = ()
-    """What the terminal shows below the sentences."""
-    sections: Sequence[Section] = ()
-    """Of the page; without any there is no page."""
+    headline: str  #: The sentence that a reader sees first
+    sentences: Sequence[str] = ()  #: Those that follow it
+    cautions: Sequence[str] = ()  #: What to be careful about
+    alarm: bool = False  #: Whether the headline says that the result may be worthless
+    printed: Sequence[Table | str] = ()  #: What the terminal shows below the sentences
+    sections: Sequence[Section] = ()  #: Of the page; without any there is no page
     figures: Sequence[Figure] = ()
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    """Name of a CSV file -> all of its rows."""
+    tables: Mapping[str, Table] = field(default_factory=dict)  #: Name of a CSV file -> all of its rows
     facts: Mapping[str, Any] | None = field(default_factory=dict)
     """JSON data with units in the names, beside 'sentences' and 'cautions'; None: no JSON file of the document."""
-    data: Mapping[str, Any] = field(default_factory=dict)
-    """Name of a further JSON file -> its data."""
+    data: Mapping[str, Any] = field(default_factory=dict)  #: Name of a further JSON file -> its data
     lead: Markup = Markup()  # noqa: RUF009
     """HTML below the sentences."""
-    charts: Mapping[str, Any] | None = None
-    """Data of the interactive charts of the page."""
+    charts: Mapping[str, Any] | None = None  #: Data of the interactive charts of the page
 
     @property
     def marker(self) -> str:

@@ -37,8 +37,7 @@ COLUMNS: Final = (
     *("score", "side", "value_deg", "low_deg", "high_deg", "noise_deg", "corrected_deg", "pose_sigma_deg"),
     *("stride_sigma_deg", "spread_between_strides_deg", "strides", "reference_median_deg"),
 )
-LEAST_EXPLAINED: Final = 0.8
-"""Share of a deviation outside of which the features do not describe it."""
+LEAST_EXPLAINED: Final = 0.8  #: Share of a deviation outside of which the features do not describe it
 _OF_INDEX: Final = ("value", "low", "high", "explained_share")  # names of the fields of a `DeviationIndex`
 _FEW_STRIDES: Final = 4
 _ANALYSED: Final = "gait_cycles.csv"  # file of an analysis, which may be without its motion
@@ -92,14 +91,10 @@ def document(found: ScoredGait) -> Document:
 class FoundPeople:
     """Strides of the people below a folder."""
 
-    people: dict[str, GaitCycles]
-    """Code of a person -> strides of all recordings."""
-    recordings: dict[str, list[str]]
-    """Code -> folders of the recordings, relative."""
-    left_out: dict[str, str]
-    """Folder -> why it is not used."""
-    skeletons: tuple[str, ...]
-    """Names of the models."""
+    people: dict[str, GaitCycles]  #: Code of a person -> strides of all recordings
+    recordings: dict[str, list[str]]  #: Code -> folders of the recordings, relative
+    left_out: dict[str, str]  #: Folder -> why it is not used
+    skeletons: tuple[str, ...]  #: Names of the models
 
 
 def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycles, str]:
@@ -187,18 +182,13 @@ def _person(path: Path, name: str) -> str:
 class ScoredGait:
     """Scores of a motion against a reference."""
 
-    name: str
-    """Of the motion, for all output."""
+    name: str  #: Of the motion, for all output
     cycles: GaitCycles
     reference: GaitReference
-    scores: GaitScores | None
-    """None if the motion has no strides that count."""
-    index: dict[str, DeviationIndex]
-    """Gait Deviation Index by side; empty if it is not computed."""
-    why_no_index: str
-    """One sentence; '' if there is an index."""
-    people: tuple[Array, Array] | None
-    """Scores of the reference's own people, see `people_scores`."""
+    scores: GaitScores | None  #: None if the motion has no strides that count
+    index: dict[str, DeviationIndex]  #: Gait Deviation Index by side; empty if it is not computed
+    why_no_index: str  #: One sentence; '' if there is an index
+    people: tuple[Array, Array] | None  #: Scores of the reference's own people, see `people_scores`
 
     @property
     def missing(self) -> dict[str, str]:

@@ -63,8 +63,7 @@ class Inspection:
 
     path: Path
     title: str
-    contents: tuple[tuple[str, str], ...]
-    """Rows of a name and a value."""
+    contents: tuple[tuple[str, str], ...]  #: Rows of a name and a value
     checks: tuple[Check, ...] = ()
     notes: tuple[str, ...] = ()
     log: SensorLog | None = None
@@ -287,8 +286,7 @@ _BY_SUFFIX: Final[dict[str, Callable[[Path], Inspection]]] = {
 """By suffix; `.csv` may contain sensor data or keypoints."""
 
 
-MOST: Final = 4
-"""Largest number of sensors or bones that are plotted; those furthest beyond a limit come first."""
+MOST: Final = 4  #: Largest number of sensors or bones that are plotted; those furthest beyond a limit come first
 
 
 def picture(inspection: Inspection) -> Plot | None:

@@ -59,8 +59,7 @@ _CONTENTS: Final = {
     "isb": "Checklist",
     "audit": "Audit",
 }
-OBSERVED: Final = 0.995
-"""Share of the frames from which on something counts as always observed."""
+OBSERVED: Final = 0.995  #: Share of the frames from which on something counts as always observed
 _RELIABLE: Final = 0.75  # share of reliable among observed frames below which a range says it
 _FEWEST: Final = 0.25  # share of observed and reliable frames below which there is no range
 _GAIT_UNITS: Final = {

@@ -27,8 +27,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
 
-KEPT_ROWS = 20_000
-"""Largest number of rows kept for medians; beyond it every second row is dropped, evenly over time."""
+KEPT_ROWS = 20_000  #: Largest number of rows kept for medians; beyond it every second row is dropped, evenly over time
 
 
 class ColumnStatistics:
@@ -120,8 +119,7 @@ def _divided(sums: NDArray[Any], counts: NDArray[Any]) -> Array:
     return np.where(some, sums / np.where(some, counts, 1), np.nan)
 
 
-_WITH_MEDIANS: Final = ("reprojection", "depth", "body height px")
-"""Quantities of which medians are used."""
+_WITH_MEDIANS: Final = ("reprojection", "depth", "body height px")  #: Quantities of which medians are used
 
 
 class ReconstructionStatistics:

@@ -28,10 +28,8 @@ class Summary:
     mode: str
     acknowledgement: str
     session: Session
-    inputs: dict[str, Any]
-    """See `report.provenance`; empty if the file has none."""
-    results: tuple[AuditResult, ...] | None
-    """Of the audit; None if the file has none."""
+    inputs: dict[str, Any]  #: See `report.provenance`; empty if the file has none
+    results: tuple[AuditResult, ...] | None  #: Of the audit; None if the file has none
     settings: dict[str, Any] | None = None
     mean_sigmas: tuple[float, float] | None = None
     """Mean standard deviations per axis of the joints, relative to the root and in world, m; NaN where
@@ -74,8 +72,7 @@ def read_summary(path: str | Path) -> Summary:
     return Summary(**texts, session=session, inputs=inputs, results=results, settings=settings, mean_sigmas=sigmas)
 
 
-_TABLES = ("calibration", "camera_estimate")
-"""Inputs with columns and rows."""
+_TABLES = ("calibration", "camera_estimate")  #: Inputs with columns and rows
 
 
 def _check_inputs(inputs: Any) -> None:

@@ -50,12 +50,9 @@ EVENT_SIGMA: Final = 0.015
 class Finding:
     """A difference that exceeds its 95 % band."""
 
-    subject: str
-    """Joint or measure; of one subject only the largest finding is shown."""
-    text: str
-    """Sentence with the figures and their 95 % bands."""
-    size: float
-    """Difference divided by its standard deviation."""
+    subject: str  #: Joint or measure; of one subject only the largest finding is shown
+    text: str  #: Sentence with the figures and their 95 % bands
+    size: float  #: Difference divided by its standard deviation
 
 
 def findings(analysis: MotionAnalysis, skeleton: SkeletonTable, sides: Comparison | None) -> tuple[Finding, ...]:
@@ -160,10 +157,8 @@ DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends 
 FEWEST_BENDS: Final = 2
 MOSTLY: Final = 0.5  # share of the time from which on a motion is walking without a qualification
 IMAGE_FREE: Final = "imu"
-IMAGE_ALONE: Final = ("lift", "rto")
-"""Modes of reconstruction that use no image, or no sensors."""
-FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
-"""Name of a figure of the audit, deg."""
+IMAGE_ALONE: Final = ("lift", "rto")  #: Modes of reconstruction that use no image, or no sensors
+FLEXION_ERROR: Final = "mean error of knee and elbow flexion"  #: Name of a figure of the audit, deg
 _SIDE: Final = re.compile("^(left|right) ")
 _PLURALS: Final = {"foot": "feet"}
 
@@ -172,12 +167,9 @@ _PLURALS: Final = {"foot": "feet"}
 class SummaryLine:
     """One line of the summary."""
 
-    label: str
-    """'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'."""
-    text: str
-    """One to three sentences."""
-    grade: Grade | None
-    """Grade that the line states; None for a line without one."""
+    label: str  #: 'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'
+    text: str  #: One to three sentences
+    grade: Grade | None  #: Grade that the line states; None for a line without one
 
 
 def summary_lines(

@@ -118,8 +118,7 @@ class FoundVisits:
     visits: tuple[Visit, ...]
     baseline: int
     plan: Plan
-    notes: tuple[str, ...]
-    """What to be careful about: their order, and folders that are left out."""
+    notes: tuple[str, ...]  #: What to be careful about: their order, and folders that are left out
 
 
 def read_plan(folder: str | Path) -> Plan:

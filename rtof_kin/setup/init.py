@@ -54,8 +54,7 @@ if TYPE_CHECKING:
     from rtof_kin.setup.sensors import SetupSensors
 
 KEYPOINTS: Final = "keypoints.npz"
-FINDINGS: Final = "findings.json"
-"""Files of the folder beside `INDEX`, `PICTURE` and `IMUS`."""
+FINDINGS: Final = "findings.json"  #: Files of the folder beside `INDEX`, `PICTURE` and `IMUS`
 _LEAST_SEEN: Final = 0.7  # Share of the frames below which it is said that the person is seen rarely
 _SHORTEST: Final = 5.0  # [s] of a take below which it is said that it is short
 Detect = Callable[[Path], Detections]
@@ -83,8 +82,7 @@ class _Video:
     """Image size, rate and metadata of a take."""
 
     size_px: tuple[int, int]
-    size: Field
-    """Its origin."""
+    size: Field  #: Its origin
     rate_hz: float | None
     metadata: VideoMetadata | None
 

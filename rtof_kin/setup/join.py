@@ -19,20 +19,16 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
-ABOUT: Final = "second camera"
-"""What sentences on it begin with."""
+ABOUT: Final = "second camera"  #: What sentences on it begin with
 
 
 @dataclass(frozen=True)
 class Joined:
     """A recording with a second view."""
 
-    recording: Recording
-    """The first one, with the second camera's keypoints on its clock and that camera in its world."""
-    found: str
-    """What was estimated, in a sentence with standard deviations."""
-    doubt: str
-    """Why it may be wrong; empty where sure."""
+    recording: Recording  #: The first one, with the second camera's keypoints on its clock and that camera in its world
+    found: str  #: What was estimated, in a sentence with standard deviations
+    doubt: str  #: Why it may be wrong; empty where sure
 
 
 def join_recordings(

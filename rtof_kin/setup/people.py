@@ -37,12 +37,9 @@ _DOUBLE: Final = 0.1  # Distance, relative to the diagonal of the person's box, 
 class People:
     """People of a video, person n in column n - 1."""
 
-    detections: Detections
-    """Those who count, by their numbers; NaN where one is not seen."""
-    times: Array
-    """(T,) s."""
-    weights: tuple[float, ...]
-    """Prominence of each, relative to the first."""
+    detections: Detections  #: Those who count, by their numbers; NaN where one is not seen
+    times: Array  #: (T,) s
+    weights: tuple[float, ...]  #: Prominence of each, relative to the first
 
     def __len__(self) -> int:
         return len(self.weights)

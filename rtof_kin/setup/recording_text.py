@@ -38,14 +38,10 @@ class Origin(Enum):
 class Field:
     """A value of ``recording.toml`` with its origin."""
 
-    value: Any
-    """Text, number, or lists of them."""
-    origin: Origin | None = None
-    """None for what needs no explanation."""
-    note: str = ""
-    """What follows the origin in the comment."""
-    summary: str = ""
-    """Sentence for the summary of the command; '' leaves the field out there."""
+    value: Any  #: Text, number, or lists of them
+    origin: Origin | None = None  #: None for what needs no explanation
+    note: str = ""  #: What follows the origin in the comment
+    summary: str = ""  #: Sentence for the summary of the command; '' leaves the field out there
 
     @property
     def comment(self) -> str:

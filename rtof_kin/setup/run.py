@@ -45,12 +45,9 @@ class Run:
     """What `run` did."""
 
     folder: Path
-    findings: Findings
-    """What was given, found, assumed and is in doubt of the recording."""
-    joined: tuple[str, ...]
-    """What was found of the second camera, 'kind: sentence'."""
-    summary: Summary
-    """Of the motion."""
+    findings: Findings  #: What was given, found, assumed and is in doubt of the recording
+    joined: tuple[str, ...]  #: What was found of the second camera, 'kind: sentence'
+    summary: Summary  #: Of the motion
 
     @property
     def page(self) -> Path:

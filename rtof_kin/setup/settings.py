@@ -59,8 +59,7 @@ class ReconstructionTask:
     calibration: Path | None = None
     """Calibration of another recording of the same person: bones, ankles and landmark offsets are taken from it; with
     calibrate delay, mounting and biases are estimated for this one."""
-    figures: bool = True
-    """Draw figures, where matplotlib is installed."""
+    figures: bool = True  #: Draw figures, where matplotlib is installed
 
     def lifter(self) -> LifterLike | None:
         """Load the model that is named; None for the shipped one."""
@@ -77,9 +76,6 @@ class SecondCamera:
 
     second: tuple[Path, ...] = ()
     """Video or keypoints of a second camera (or both) that saw the same; its location is found."""
-    second_person: int | None = None
-    """Number of the person in second/frames.png."""
-    second_camera: str | None = None
-    """Name of the second camera, in the calibration among the files."""
-    synchronised: bool = False
-    """Both cameras have one clock; default: it is found."""
+    second_person: int | None = None  #: Number of the person in second/frames.png
+    second_camera: str | None = None  #: Name of the second camera, in the calibration among the files
+    synchronised: bool = False  #: Both cameras have one clock; default: it is found

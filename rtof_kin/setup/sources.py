@@ -167,14 +167,10 @@ class Sources:
     """Files of one take."""
 
     video: Path | None = None
-    keypoints: Path | None = None
-    """A detector's file or folder, see `rtof_kin.vision.keypoint_files`."""
-    sensors: tuple[Path, ...] = ()
-    """Files or folders of inertial sensors, see `rtof_kin.formats.sensors.files`."""
-    camera: Path | None = None
-    """A calibration, see `rtof_kin.formats.cameras`."""
-    sensor_map: Path | None = None
-    """Which sensor is where, see `rtof_kin.formats.sensors.sensor_map`."""
+    keypoints: Path | None = None  #: A detector's file or folder, see `rtof_kin.vision.keypoint_files`
+    sensors: tuple[Path, ...] = ()  #: Files or folders of inertial sensors, see `rtof_kin.formats.sensors.files`
+    camera: Path | None = None  #: A calibration, see `rtof_kin.formats.cameras`
+    sensor_map: Path | None = None  #: Which sensor is where, see `rtof_kin.formats.sensors.sensor_map`
     phone: Path | None = None
     """Gyroscope and accelerometer of the phone that filmed, see `rtof_kin.formats.sensors.tables`."""
 

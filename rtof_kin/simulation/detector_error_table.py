@@ -17,8 +17,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.vision.image_points import MIRROR_HARMONICS
 from rtof_kin.vision.layouts import Layout, detector_table
 
-VIEWS = ("front", "back", "left", "right")
-"""Where a camera stands that sees a covariance of coloured errors."""
+VIEWS = ("front", "back", "left", "right")  #: Where a camera stands that sees a covariance of coloured errors
 _NUMBERS = ("amplitude", "visibility", "exchanges", "jumps", "lost", "camera")
 _ARM, _LEG = ("shoulder", "elbow", "wrist", "hand"), ("knee", "ankle", "foot")
 _MIRROR_BODY, _MIRROR_IMAGE = np.array([1, -1, 1]), np.array([-1, 1])
@@ -28,76 +27,50 @@ _MIRROR_BODY, _MIRROR_IMAGE = np.array([1, -1, 1]), np.array([-1, 1])
 class Places:
     """Where the K points stand, of a person whose thigh and shank together have the length `leg`."""
 
-    leg: float
-    """m."""
-    anchor: tuple[str, ...]
-    """K joints."""
-    frame: tuple[str, ...]
-    """K joints, of whose links the mean is fixed in."""
-    second_frame: tuple[str, ...]
-    """K joints, of whose links `pose` is fixed in."""
-    mean: Array
-    """(K, 3) from the anchor, m."""
-    pose: Array
-    """(K, 3) m."""
-    view: Array
-    """(K, 8, 3) displacement in the pelvis frame, m, by `harmonics` of the direction to the camera."""
-    view_spread: float
-    """Log-normal, of all `view` together."""
-    person_sd: Array
-    """(G, 3) of each kind of points between persons, m."""
+    leg: float  #: m
+    anchor: tuple[str, ...]  #: K joints
+    frame: tuple[str, ...]  #: K joints, of whose links the mean is fixed in
+    second_frame: tuple[str, ...]  #: K joints, of whose links `pose` is fixed in
+    mean: Array  #: (K, 3) from the anchor, m
+    pose: Array  #: (K, 3) m
+    view: Array  #: (K, 8, 3) displacement in the pelvis frame, m, by `harmonics` of the direction to the camera
+    view_spread: float  #: Log-normal, of all `view` together
+    person_sd: Array  #: (G, 3) of each kind of points between persons, m
 
 
 @dataclass(frozen=True)
 class Covariance:
     """Covariance ``factor factor^T + diag(rest^2)`` of errors in the image at the points' depth."""
 
-    factor: Array
-    """(..., K, 2, r) m."""
-    rest: Array
-    """(..., K, 2) m."""
+    factor: Array  #: (..., K, 2, r) m
+    rest: Array  #: (..., K, 2) m
 
 
 @dataclass(frozen=True)
 class Kinds:
     """Numbers of each point's kind; (K,) each but `shares`."""
 
-    shares: Array
-    """(K, C) of the variance of coloured errors by time constant."""
-    amplitude: Mapping[str, Array]
-    """gain, hidden, far, speed, mood_sd."""
-    visibility: Mapping[str, Array]
-    """base, hidden, far, log_error, outside, residual_sd."""
+    shares: Array  #: (K, C) of the variance of coloured errors by time constant
+    amplitude: Mapping[str, Array]  #: gain, hidden, far, speed, mood_sd
+    visibility: Mapping[str, Array]  #: base, hidden, far, log_error, outside, residual_sd
 
 
 @dataclass(frozen=True)
 class DetectorErrorTable:
     """Errors of a detector of K points; lengths in m, times in s, angles in rad."""
 
-    layout: Layout
-    """Names of the points."""
-    group: tuple[str, ...]
-    """Kinds of points, e.g. face, shoulder; G of them."""
-    kind: Index
-    """(K,) index of each point's kind."""
-    left: Mask
-    """(K,) points of the left side."""
-    mirror: Index
-    """(K,) the same point of the other side."""
-    limb: Index
-    """(K,) 0 for head and hips, then right arm, left arm, right leg, left leg."""
-    places: Places
-    """Of the points in the body."""
-    kinds: Kinds
-    """Numbers by kind of point."""
-    constant: Covariance
-    """For a whole recording."""
-    coloured: Covariance
-    """Of coloured errors; the first axis is that of `VIEWS`."""
-    time_constants: Array
-    """(C,) of coloured errors, s."""
-    smoothing: float
-    """Standard deviation of the normal window over coloured errors, s."""
+    layout: Layout  #: Names of the points
+    group: tuple[str, ...]  #: Kinds of points, e.g. face, shoulder; G of them.
+    kind: Index  #: (K,) index of each point's kind
+    left: Mask  #: (K,) points of the left side
+    mirror: Index  #: (K,) the same point of the other side
+    limb: Index  #: (K,) 0 for head and hips, then right arm, left arm, right leg, left leg
+    places: Places  #: Of the points in the body
+    kinds: Kinds  #: Numbers by kind of point
+    constant: Covariance  #: For a whole recording
+    coloured: Covariance  #: Of coloured errors; the first axis is that of `VIEWS`
+    time_constants: Array  #: (C,) of coloured errors, s
+    smoothing: float  #: Standard deviation of the normal window over coloured errors, s
     numbers: Mapping[str, Any]
     """The sections amplitude, visibility, exchanges, jumps, lost and camera as they stand in the file."""
 

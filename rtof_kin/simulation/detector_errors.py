@@ -58,8 +58,7 @@ def episodes(rng: Generator, per_minute: Array, rate_hz: float, median: float, s
 _TRUNK = ("Hips", "Neck", 0.11, 0.12)
 """Joints at the ends of a capsule; its radius and the depth behind its axis that hides points, m."""
 _LEG_RADIUS, _LEG_MARGIN = 0.06, 0.08
-_SPHERES = 6
-"""Spheres that make a capsule."""
+_SPHERES = 6  #: Spheres that make a capsule
 
 
 def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Index, skeleton: SkeletonModel) -> Mask:
@@ -90,12 +89,10 @@ def _behind(points: Array, start: Array, stop: Array, radius: float, margin: flo
     return np.asarray(near.any(axis=-1))
 
 
-DELAY_RATE_HZ: Final = 60.0
-"""Frame rate that `DetectorErrors.delay_frames` are counted at, Hz."""
+DELAY_RATE_HZ: Final = 60.0  #: Frame rate that `DetectorErrors.delay_frames` are counted at, Hz
 _LIMBS: Final = 5
 _RIGID: Final = "face"  # kind of points that differ between persons by one displacement, not mirrored
-_FAR, _FAR_RANGE = 0.2, 1.5
-"""Unit of the depth behind the hips, m, and its largest value in that unit."""
+_FAR, _FAR_RANGE = 0.2, 1.5  #: Unit of the depth behind the hips, m, and its largest value in that unit
 _FASTEST: Final = 3.0  # [m/s] speed beyond which errors grow no more
 _LOG_ERROR, _LEAST_ERROR = 0.03, 0.005  # [m] unit of the errors that visibility depends on, and the least
 
@@ -130,22 +127,14 @@ class DetectorErrors:
 class _Scene:
     """What the camera would see without errors in the image, in camera axes."""
 
-    lens: Camera
-    """The camera, with its axes as world."""
-    p_joint: Array
-    """(T, K, 3) joints that the points are anchored at, m."""
-    p_point: Array
-    """(T, K, 3) places of the points, m."""
-    azimuth: Array
-    """(T,) of the camera in the pelvis frame, rad; 0 in front, positive to the left."""
-    hidden: Mask
-    """(T, K) points that the body hides."""
-    far: Array
-    """(T, K) depth behind the hips in units of `_FAR`, limited."""
-    speed: Array
-    """(T, K) m/s, limited."""
-    rate_hz: float
-    """Frames per second."""
+    lens: Camera  #: The camera, with its axes as world
+    p_joint: Array  #: (T, K, 3) joints that the points are anchored at, m
+    p_point: Array  #: (T, K, 3) places of the points, m
+    azimuth: Array  #: (T,) of the camera in the pelvis frame, rad; 0 in front, positive to the left
+    hidden: Mask  #: (T, K) points that the body hides
+    far: Array  #: (T, K) depth behind the hips in units of `_FAR`, limited
+    speed: Array  #: (T, K) m/s, limited
+    rate_hz: float  #: Frames per second
 
     @property
     def px_per_m(self) -> Array:

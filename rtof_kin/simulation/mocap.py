@@ -59,20 +59,13 @@ _CANONICAL = {
 class MocapClip:
     """Motion of the package's skeleton, with rigid bones."""
 
-    name: str
-    """File name without its ending, with the range of source frames if it is a piece."""
-    poses: PoseSequence
-    """Positions and orientations in world (z up, m), joints named `NAMES`; from time 0."""
-    joint_offsets: Array
-    """(J, 3) position of each joint in its parent's link frame, m; zero for the root."""
-    subject: str = ""
-    """Name of the subject in an index."""
-    category: str = ""
-    """walking, running, acting, freestyle, rom or other, from an index."""
-    quality: str = ""
-    """Remark of an index; contains GLITCH where the original has spikes."""
-    rig: str = ""
-    """Family of the source's skeleton, see `mocap_families`."""
+    name: str  #: File name without its ending, with the range of source frames if it is a piece
+    poses: PoseSequence  #: Positions and orientations in world (z up, m), joints named `NAMES`; from time 0
+    joint_offsets: Array  #: (J, 3) position of each joint in its parent's link frame, m; zero for the root
+    subject: str = ""  #: Name of the subject in an index
+    category: str = ""  #: walking, running, acting, freestyle, rom or other, from an index
+    quality: str = ""  #: Remark of an index; contains GLITCH where the original has spikes
+    rig: str = ""  #: Family of the source's skeleton, see `mocap_families`
 
     def __post_init__(self) -> None:
         offsets = readonly("clip joint_offsets", self.joint_offsets, (len(self.poses.names), 3))
@@ -187,8 +180,7 @@ def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     return replace(clip, poses=PoseSequence(times, p, R, NAMES))
 
 
-_BLOCK: Final = 4096
-"""Frames that are mapped at once."""
+_BLOCK: Final = 4096  #: Frames that are mapped at once
 
 
 def read_mocap(
@@ -272,16 +264,11 @@ def find_asf(path_amc: str | Path) -> Path:
 
 # --- the corpus: a folder of such files with index.csv -------------------------------------------
 
-_SPIKE_SPEED: Final = 15.0
-"""Largest speed of a joint, m/s."""
-_SPIKE_JUMP: Final = 10.0
-"""Largest difference of a joint's velocity from the median of the 7 steps around, m/s."""
-_SPIKE_TURN: Final = 60.0
-"""Largest turning rate of a segment other than a hand, rad/s."""
-_ANKLE_TURN: Final = float(np.radians(110.0))
-"""Largest angle of a foot from its neutral position on the shank, rad."""
-ANKLE_HEIGHT: Final = 0.07
-"""Height of the lower ankle over the floor, 5th percentile over a recording, m."""
+_SPIKE_SPEED: Final = 15.0  #: Largest speed of a joint, m/s
+_SPIKE_JUMP: Final = 10.0  #: Largest difference of a joint's velocity from the median of the 7 steps around, m/s
+_SPIKE_TURN: Final = 60.0  #: Largest turning rate of a segment other than a hand, rad/s
+_ANKLE_TURN: Final = float(np.radians(110.0))  #: Largest angle of a foot from its neutral position on the shank, rad
+ANKLE_HEIGHT: Final = 0.07  #: Height of the lower ankle over the floor, 5th percentile over a recording, m
 _CORRECTIONS: Final = {
     "cmu_amc/gs_backflip.amc": {"fps": "60"},
     "cmu_amc/gs_lambada.amc": {"subject": "CMU055"},

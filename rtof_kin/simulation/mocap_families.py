@@ -19,15 +19,12 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.articulated import ArticulatedMotion
 
-Between = tuple[str, str, float]
-"""Two source joints and the share of the way from the first to the second."""
+Between = tuple[str, str, float]  #: Two source joints and the share of the way from the first to the second
 
 TABLE = Path(__file__).with_name("mocap_families.toml")
 _SKELETON = read_skeleton_table(model_path("skeleton.toml"))
-NAMES = _SKELETON.names
-"""Joints that a clip has."""
-PARENTS = _SKELETON.parents
-"""Index of the parent of each joint; -1 for the root."""
+NAMES = _SKELETON.names  #: Joints that a clip has
+PARENTS = _SKELETON.parents  #: Index of the parent of each joint; -1 for the root
 
 UNITS_M: Final = (1.0, 0.01, 0.0254, 0.0254 / 0.45)
 """Length units of such files, m: metre, centimetre, inch, CMU's own."""
@@ -39,24 +36,17 @@ _PLAUSIBLE_LEG: Final = (0.6, 1.1)
 class Family:
     """Mapping of the joints of one kind of skeleton to the package's; see the table."""
 
-    name: str
-    """Its name in the table."""
-    recognise: frozenset[str]
-    """Source joints that identify the family."""
-    at: tuple[Between, ...]
-    """Position of each of `NAMES` in the source."""
-    turns: tuple[Between, ...]
-    """Rotation of each of `NAMES` in the source."""
-    aim: tuple[float, ...]
-    """Share of the final turn of each of `NAMES` towards its child."""
+    name: str  #: Its name in the table
+    recognise: frozenset[str]  #: Source joints that identify the family
+    at: tuple[Between, ...]  #: Position of each of `NAMES` in the source
+    turns: tuple[Between, ...]  #: Rotation of each of `NAMES` in the source
+    aim: tuple[float, ...]  #: Share of the final turn of each of `NAMES` towards its child
     restore: dict[str, tuple[str, float]]
     """Source joints without an offset, each with the joint whose offset it gets and a factor."""
     t_pose_deg: dict[str, tuple[float, float, float]]
     """Orientation of source joints in the T-pose, about x left, y up, z forward."""
-    feet_go_with_shanks: bool
-    """Whether the rest pose spreads the feet along with the legs."""
-    lead_in: int
-    """Number of artificial frames at the start."""
+    feet_go_with_shanks: bool  #: Whether the rest pose spreads the feet along with the legs
+    lead_in: int  #: Number of artificial frames at the start
 
 
 @cache

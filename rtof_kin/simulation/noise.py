@@ -44,11 +44,9 @@ ORIENTATION_MEDIAN_DEG: Final = {
 }
 """Median angle between an IMU with its best constant calibration and the segment, deg."""
 _OTHER_MEDIAN_DEG: Final = 5.0
-_MEDIAN_NORM: Final = 0.816
-"""Median norm of a normal vector with standard deviations 1, 0.3, 0.3."""
+_MEDIAN_NORM: Final = 0.816  #: Median norm of a normal vector with standard deviations 1, 0.3, 0.3
 _SWING_SHARE: Final = 0.3
-_POSTURE_SCALE, _RATE_SCALE = 0.3, 1.0
-"""Motion of a segment at which its soft-tissue error saturates, rad and rad/s."""
+_POSTURE_SCALE, _RATE_SCALE = 0.3, 1.0  #: Motion of a segment at which its soft-tissue error saturates, rad and rad/s
 _CYCLE = ((1, 2), (2, 0), (0, 1))
 _ARMS = ("LeftForeArm", "LeftHand", "RightForeArm", "RightHand")
 _LEGS = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")

@@ -39,12 +39,9 @@ from rtof_kin.simulation.mocap_families import PARENTS
 from rtof_kin.simulation.noise import ImuNoise, KeypointNoise, simulate_imus
 from rtof_kin.vision.keypoints import keypoints_from_detections
 
-PELVIS_DEG: Final = (1.5, 5.0, 1.5)
-"""Spread over people of the pelvis, about its axes x forward, y left, z up."""
-BEND_DEG: Final = (1.5, 5.0, 1.5)
-"""The same of each part of the spine, relative to the mean of all parts."""
-CLAVICLE_DEG: Final = (5.0, 1.5, 6.0)
-"""The same of a clavicle."""
+PELVIS_DEG: Final = (1.5, 5.0, 1.5)  #: Spread over people of the pelvis, about its axes x forward, y left, z up
+BEND_DEG: Final = (1.5, 5.0, 1.5)  #: The same of each part of the spine, relative to the mean of all parts
+CLAVICLE_DEG: Final = (5.0, 1.5, 6.0)  #: The same of a clavicle
 
 
 def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
@@ -71,8 +68,7 @@ def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel)
 
 LIMB_SENSORS = ("L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg")
 """The eight sensors of the paper: upper arms, forearms, thighs, shanks."""
-_CAMERA_DISTANCE, _CAMERA_HEIGHT, _FURTHEST_CAMERA = (3.0, 6.0), (0.8, 2.6), 12.0
-"""Ranges and largest distance, m."""
+_CAMERA_DISTANCE, _CAMERA_HEIGHT, _FURTHEST_CAMERA = (3.0, 6.0), (0.8, 2.6), 12.0  #: Ranges and largest distance, m
 _FOCAL_PX: Final = 1250.0
 _IN_VIEW: Final = 0.9
 _FEWEST_FRAMES: Final = 4
@@ -326,8 +322,7 @@ def _inside(camera: Camera, uv_px: Array) -> Mask:
 
 KEYPOINTS, SENSORS, PLACES, CAMERA = "keypoints.csv", "dots", "places.csv", "camera.toml"
 """What `write_raw_files` writes."""
-_BEGUN: Final = 37.0
-"""[s] What the sensors' clock shows when the video begins."""
+_BEGUN: Final = 37.0  #: [s] What the sensors' clock shows when the video begins
 _WORDS: Final = {"UpLeg": "thigh", "Leg": "shank", "ForeArm": "forearm", "Arm": "upper arm", "Foot": "foot"}
 _DOT_COLUMNS: Final = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,FreeAcc_X,FreeAcc_Y,FreeAcc_Z"
 

@@ -32,8 +32,7 @@ from rtof_kin.solve.terms import PointData, PointTerm, Term, check_terms
 
 __all__ = ["FragmentReport", "FragmentSolution", "FragmentSolver", "SolverStatus"]
 
-Progress = Callable[[int, int], None]
-"""Called with (fragments done, fragments in all)."""
+Progress = Callable[[int, int], None]  #: Called with (fragments done, fragments in all)
 
 
 def usual_space(skeleton: SkeletonModel) -> Space:

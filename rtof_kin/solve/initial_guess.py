@@ -201,8 +201,7 @@ class InitialGuess:
 
     poses: PoseSequence
     """(T, J) rigid poses, the root refitted to its rays, unobserved intervals bridged by the sensors."""
-    sigma_root: Array
-    """(T,) m, standard deviation of the root in bridged frames; 0 where the person was observed."""
+    sigma_root: Array  #: (T,) m, standard deviation of the root in bridged frames; 0 where the person was observed
 
 
 def initial_guess(

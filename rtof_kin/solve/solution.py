@@ -15,12 +15,9 @@ from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 
-_MISFIT: Final = 3.0
-"""Multiple of the median reprojection error from which a fragment causes a warning."""
-_LEAST_MISFIT_PX: Final = 3.0
-"""[px] Smallest reprojection error that causes a warning."""
-_LEAST_VISUAL: Final = 5.0
-"""[nats] Visual energy of about twenty landmarks with errors of one sigma."""
+_MISFIT: Final = 3.0  #: Multiple of the median reprojection error from which a fragment causes a warning
+_LEAST_MISFIT_PX: Final = 3.0  #: [px] Smallest reprojection error that causes a warning
+_LEAST_VISUAL: Final = 5.0  #: [nats] Visual energy of about twenty landmarks with errors of one sigma
 
 
 class SolverStatus(Enum):
@@ -55,18 +52,13 @@ _OUTCOMES: Final = {
 class FragmentReport:
     """Report of one fragment; everything is measured at the returned point."""
 
-    first_frame: int
-    """Index of its first frame; negative in the padding."""
+    first_frame: int  #: Index of its first frame; negative in the padding
     status: SolverStatus
-    energy: dict[str, float]
-    """Weighted energy per term; empty where nothing was solved."""
+    energy: dict[str, float]  #: Weighted energy per term; empty where nothing was solved
     iterations: int
-    seconds: float
-    """Time of the solver."""
-    sigma_reprojection: float
-    """Standard deviation of a landmark, given or estimated from the fragment, px."""
-    optimality: float
-    """Largest derivative of the energy, or with constraints of the Lagrangian, 1/m or 1/rad."""
+    seconds: float  #: Time of the solver
+    sigma_reprojection: float  #: Standard deviation of a landmark, given or estimated from the fragment, px
+    optimality: float  #: Largest derivative of the energy, or with constraints of the Lagrangian, 1/m or 1/rad
     infeasibility: float
     """Largest violation of a constraint: of a squared bone length, m^2, or of a joint's limit, rad."""
 
@@ -80,14 +72,10 @@ class FragmentReport:
 class Block:
     """Final frames of a recording, N/2 at a time."""
 
-    frames: slice
-    """Of the recording."""
-    p_world_joint: Array
-    """(n, J, 3), m."""
-    R_world_bone: Array
-    """(n, J, 3, 3)."""
-    fragments: tuple[FragmentReport, ...]
-    """Reports since the previous block."""
+    frames: slice  #: Of the recording
+    p_world_joint: Array  #: (n, J, 3), m
+    R_world_bone: Array  #: (n, J, 3, 3)
+    fragments: tuple[FragmentReport, ...]  #: Reports since the previous block
     confidence: Confidence | None = None
     spread: Confidence | None = None
     """Covariances of what is unseen (`joint_space.covariance`); None where everything is seen."""

@@ -25,22 +25,17 @@ if TYPE_CHECKING:
     from rtof_kin.solve.joint_space.energy import Frame
     from rtof_kin.solve.joint_space.observations import Observations
 
-Matrix = Any
-"""casadi.SX, MX or DM; (3, n) with a point or an instant in each column unless said otherwise."""
-Loss = Callable[[Matrix], tuple[Matrix, Matrix]]
-"""Weighted squares -> their robust loss and its derivative."""
-Shapes = dict[str, tuple[int, ...]]
-"""Name of a symbol -> its shape."""
+Matrix = Any  #: casadi.SX, MX or DM; (3, n) with a point or an instant in each column unless said otherwise
+Loss = Callable[[Matrix], tuple[Matrix, Matrix]]  #: Weighted squares -> their robust loss and its derivative
+Shapes = dict[str, tuple[int, ...]]  #: Name of a symbol -> its shape
 
 
 @dataclass(frozen=True)
 class PointData:
     """Observations of a term from outside, one for each of T frames."""
 
-    values: Array
-    """(T, size), in the units of the residual; NaN where nothing was observed."""
-    sigma: Array | float
-    """Standard deviation of the residual per component, in its unit: of all frames, or (T,)."""
+    values: Array  #: (T, size), in the units of the residual; NaN where nothing was observed
+    sigma: Array | float  #: Standard deviation of the residual per component, in its unit: of all frames, or (T,)
 
 
 class Term(ABC):
@@ -50,10 +45,8 @@ class Term(ABC):
     that differ from recording to recording are observations.
     """
 
-    name: str
-    """Name in reports, a Python identifier."""
-    unit: ClassVar[str] = "1"
-    """Of its residuals."""
+    name: str  #: Name in reports, a Python identifier
+    unit: ClassVar[str] = "1"  #: Of its residuals
     constant_errors: ClassVar[tuple[str, ...]] = ()
     """Weights of observations whose errors are constant over a fragment; those of vision average out."""
 
@@ -124,15 +117,12 @@ class ObservedTerm(Term):
 class PointTerm(ObservedTerm):
     """A residual of the positions of one or more joints in a frame, in both spaces."""
 
-    joint: str | tuple[str, ...]
-    """Joint or joints of the skeleton that it acts on."""
+    joint: str | tuple[str, ...]  #: Joint or joints of the skeleton that it acts on
     residual: Callable[..., Matrix]
     """(position (3, 1) of each joint in world, m; observation (size, 1)) -> plain difference (k, 1) with a unit;
     finite where the observation is 0. A function of a module: the energy is built, and compiled, once for each."""
-    size: int = 1
-    """Numbers observed in a frame."""
-    robust: float = 3.0
-    """[sigma] Threshold of the pseudo-Huber loss."""
+    size: int = 1  #: Numbers observed in a frame
+    robust: float = 3.0  #: [sigma] Threshold of the pseudo-Huber loss
 
     def __post_init__(self) -> None:
         self.check()
@@ -160,14 +150,10 @@ class PointTerm(ObservedTerm):
 class MotionTerm(ObservedTerm):
     """Measured velocity (m/s) or acceleration (m/s^2) in world of a point of a segment, in joint space."""
 
-    joint: str
-    """Joint that the segment begins at."""
-    derivative: int
-    """1 for velocities, 2 for accelerations; central differences of three frames."""
-    p_bone_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """[m] The point in the segment's frame."""
-    robust: float = 3.0
-    """[sigma] Threshold of the pseudo-Huber loss."""
+    joint: str  #: Joint that the segment begins at
+    derivative: int  #: 1 for velocities, 2 for accelerations; central differences of three frames
+    p_bone_point: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m] The point in the segment's frame
+    robust: float = 3.0  #: [sigma] Threshold of the pseudo-Huber loss
 
     def __post_init__(self) -> None:
         self.check()

@@ -58,20 +58,16 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.joint_space.terms import TORSO
 from rtof_kin.vision.image_points import image_points, measurements
 
-WINDOW: Final = 0.15
-"""[s] averaged before and after a frame."""
+WINDOW: Final = 0.15  #: [s] averaged before and after a frame
 
 
 @dataclass(frozen=True)
 class Disagreement:
     """Mean squares of differences between two estimates of a motion; zero where one is missing."""
 
-    position: Array
-    """(T, J, 3, 3) m^2, of joints' positions in world."""
-    relative: Array
-    """(T, J, 3, 3) m^2, of positions less the root's, in world's axes."""
-    turn: Array
-    """(T, P, 3, 3) rad^2, of pairs' orientations, in the child's axes."""
+    position: Array  #: (T, J, 3, 3) m^2, of joints' positions in world
+    relative: Array  #: (T, J, 3, 3) m^2, of positions less the root's, in world's axes
+    turn: Array  #: (T, P, 3, 3) rad^2, of pairs' orientations, in the child's axes
 
     def __post_init__(self) -> None:
         for name in ("position", "relative", "turn"):
@@ -122,28 +118,20 @@ UNITS: Final = {"position": "m", "relative": "m", "turn": "rad"}
 """Kinds of covariances of a `Confidence`, and the unit of their floors."""
 SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
 """Classes of observations, and the kinds of covariances that have them."""
-OTHER: Final = "other"
-"""Name of the default widening."""
-USUAL_TORSO_SIGMA: Final = 0.09
-"""[rad] Usual sigma of pelvis and upper trunk by the lifter."""
-_SHARES: Final = "apart"
-"""Table of the factors a in a file."""
-_DEPTHS: Final = "depth"
-"""Table of the shares f in a file."""
-WHITE_FACTOR: Final = 1.2
-"""k0, fitted with white 2D errors and eight real sensors."""
+OTHER: Final = "other"  #: Name of the default widening
+USUAL_TORSO_SIGMA: Final = 0.09  #: [rad] Usual sigma of pelvis and upper trunk by the lifter
+_SHARES: Final = "apart"  #: Table of the factors a in a file
+_DEPTHS: Final = "depth"  #: Table of the shares f in a file
+WHITE_FACTOR: Final = 1.2  #: k0, fitted with white 2D errors and eight real sensors
 
 
 @dataclass(frozen=True)
 class ResidualStatistics:
     """Statistics of a recording's errors; the defaults are those of a usual one without sensors."""
 
-    sensors: tuple[str, ...] = ()
-    """Joints whose segments carry one."""
-    autocorrelation: float = 1.0
-    """m, 0 to 1: autocorrelation of the keypoints' residuals, from white to a detector's."""
-    torso_sigma: float = USUAL_TORSO_SIGMA
-    """[rad] The lifter's standard deviation of pelvis and upper trunk."""
+    sensors: tuple[str, ...] = ()  #: Joints whose segments carry one
+    autocorrelation: float = 1.0  #: m, 0 to 1: autocorrelation of the keypoints' residuals, from white to a detector's
+    torso_sigma: float = USUAL_TORSO_SIGMA  #: [rad] The lifter's standard deviation of pelvis and upper trunk
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensors", checked_names("residual statistics sensors", self.sensors))
@@ -161,10 +149,8 @@ class ResidualStatistics:
 class Widening:
     """Factor and floor of one covariance."""
 
-    factor: Array
-    """k (3,) by axis: world's for positions, the child segment's for turns. At least 1."""
-    floor: Array
-    """b (3,) standard deviation, m or rad."""
+    factor: Array  #: k (3,) by axis: world's for positions, the child segment's for turns. At least 1.
+    floor: Array  #: b (3,) standard deviation, m or rad
 
     def __post_init__(self) -> None:
         for name, least in (("factor", 1.0), ("floor", 0.0)):
@@ -180,10 +166,8 @@ class CovarianceInflation:
 
     widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
     """By class (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
-    shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """a, by class and kind; 0 where not given."""
-    depths: Mapping[str, float] = field(default_factory=dict)
-    """f, by class; 0 where not given."""
+    shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  #: a, by class and kind; 0 where not given
+    depths: Mapping[str, float] = field(default_factory=dict)  #: f, by class; 0 where not given
 
     def __post_init__(self) -> None:
         for seen, share in self.depths.items():
@@ -314,16 +298,11 @@ def _text(value: Array) -> str:
     return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
 
 
-_LAG: Final = 1 / 15
-"""[s] Lag of the autocorrelation."""
-_DETECTORS_CORRELATION: Final = 0.8
-"""Autocorrelation with a detector: the median of the fitted recordings."""
-_NORMAL_MEDIAN: Final = 0.6745
-"""Median of the absolute values of a standard normal distribution."""
-_OUTLIER: Final = 3.0
-"""[sigma] at which residuals are clipped."""
-_FEWEST: Final = 100
-"""Residuals that an estimate needs."""
+_LAG: Final = 1 / 15  #: [s] Lag of the autocorrelation
+_DETECTORS_CORRELATION: Final = 0.8  #: Autocorrelation with a detector: the median of the fitted recordings
+_NORMAL_MEDIAN: Final = 0.6745  #: Median of the absolute values of a standard normal distribution
+_OUTLIER: Final = 3.0  #: [sigma] at which residuals are clipped
+_FEWEST: Final = 100  #: Residuals that an estimate needs
 _MEAN_S, _NEAR_S, _KNOWN = 2.0, 4.0, 0.2
 """[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
 counts, and the share of frames that an average needs."""
@@ -377,12 +356,9 @@ class LegMisfit:
     feet, which the motion follows; bones cannot follow everywhere, and hips are pulled off their own points.
     """
 
-    thighs: Array
-    """(T,) m, of the knees less those of the hips."""
-    shanks: Array
-    """(T,) m, of the ankles less those of the knees."""
-    px_per_m: float
-    """Size of the person in the image."""
+    thighs: Array  #: (T,) m, of the knees less those of the hips
+    shanks: Array  #: (T,) m, of the ankles less those of the knees
+    px_per_m: float  #: Size of the person in the image
 
     def excess(self, rate_hz: float, sensed: bool = True) -> Array:
         """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame."""

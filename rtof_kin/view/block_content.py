@@ -27,10 +27,8 @@ _TRUNK: Final = (0.8, 1.25)
 _LONGER: Final = 1.12  # Length of a solid relative to its bone: neighbours overlap
 QUANTILE_95: Final = 2.795483
 """Radius of the 95 % ellipsoid of a normal error in three dimensions, in standard deviations."""
-LARGEST_SEMI_AXIS: Final = 2.0
-"""[m] Ellipsoids beyond it are not drawn: the position is unknown."""
-AXES_LENGTH: Final = 0.12
-"""[m] of the axes of a joint whose orientation was observed as a whole."""
+LARGEST_SEMI_AXIS: Final = 2.0  #: [m] Ellipsoids beyond it are not drawn: the position is unknown
+AXES_LENGTH: Final = 0.12  #: [m] of the axes of a joint whose orientation was observed as a whole
 _SHORT: Final = 0.45  # Relative length of the axes of other joints
 _FAINT: Final = 0.35  # Opacity of a segment that is not valid
 
@@ -39,12 +37,9 @@ _FAINT: Final = 0.35  # Opacity of a segment that is not valid
 class SegmentSolids:
     """Place and size of the solid of each segment, in its link frame."""
 
-    centers: Array
-    """(J, 3) m from the joint."""
-    R_bone_solid: Array
-    """(J, 3, 3); the solid's z axis is along the bone."""
-    sizes: Array
-    """(J, 3) m, half thickness in x and y, half length in z."""
+    centers: Array  #: (J, 3) m from the joint
+    R_bone_solid: Array  #: (J, 3, 3); the solid's z axis is along the bone
+    sizes: Array  #: (J, 3) m, half thickness in x and y, half length in z
 
     def __post_init__(self) -> None:
         freeze(self, "solids", centers=("J", 3), R_bone_solid=("J", 3, 3), sizes=("J", 3))
@@ -68,42 +63,27 @@ def segment_solids(skeleton: SkeletonModel) -> SegmentSolids:
 class Ellipsoids:
     """95 % regions of the joint positions of a block."""
 
-    quat_wxyz: NDArray[np.float32]
-    """(n, J, 4) orientations in world."""
-    sizes: NDArray[np.float32]
-    """(n, J, 3) semi-axes, m; 0 where there is none."""
-    left_out: NDArray[np.int_]
-    """(n,) number of joints whose position is unknown by more than `LARGEST_SEMI_AXIS`."""
+    quat_wxyz: NDArray[np.float32]  #: (n, J, 4) orientations in world
+    sizes: NDArray[np.float32]  #: (n, J, 3) semi-axes, m; 0 where there is none
+    left_out: NDArray[np.int_]  #: (n,) number of joints whose position is unknown by more than `LARGEST_SEMI_AXIS`
 
 
 @dataclass(frozen=True)
 class BlockContent:
     """Solids, axes and colours of the segments in the frames of a block."""
 
-    start: int
-    """First frame."""
-    p_root: Array
-    """(n, 3) m in world; NaN where missing."""
-    centers: NDArray[np.float32]
-    """(n, J, 3) m in world, of the solids."""
-    solids_wxyz: NDArray[np.float32]
-    """(n, J, 4) orientations of the solids."""
-    shown: NDArray[np.float32]
-    """(n, J) 1 where there is a pose, 0 where there is none."""
-    colours: NDArray[np.uint8]
-    """(n, J, 3) RGB of the segments."""
-    opacities: NDArray[np.float32]
-    """(n, J) 1 where valid."""
-    p_joint: NDArray[np.float32]
-    """(n, J, 3) m in world; 0 where missing."""
-    joints_wxyz: NDArray[np.float32]
-    """(n, J, 4) orientations of the segments."""
-    axes: NDArray[np.float32]
-    """(n, J) length of the axes relative to `AXES_LENGTH`; 0 where there is none."""
-    in_world: Ellipsoids | None = None
-    """Of positions in world."""
-    to_root: Ellipsoids | None = None
-    """Of positions relative to the root."""
+    start: int  #: First frame
+    p_root: Array  #: (n, 3) m in world; NaN where missing
+    centers: NDArray[np.float32]  #: (n, J, 3) m in world, of the solids
+    solids_wxyz: NDArray[np.float32]  #: (n, J, 4) orientations of the solids
+    shown: NDArray[np.float32]  #: (n, J) 1 where there is a pose, 0 where there is none
+    colours: NDArray[np.uint8]  #: (n, J, 3) RGB of the segments
+    opacities: NDArray[np.float32]  #: (n, J) 1 where valid
+    p_joint: NDArray[np.float32]  #: (n, J, 3) m in world; 0 where missing
+    joints_wxyz: NDArray[np.float32]  #: (n, J, 4) orientations of the segments
+    axes: NDArray[np.float32]  #: (n, J) length of the axes relative to `AXES_LENGTH`; 0 where there is none
+    in_world: Ellipsoids | None = None  #: Of positions in world
+    to_root: Ellipsoids | None = None  #: Of positions relative to the root
 
 
 def block_content(

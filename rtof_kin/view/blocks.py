@@ -13,8 +13,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 
-BLOCK: Final = 256
-"""Frames of a block."""
+BLOCK: Final = 256  #: Frames of a block
 _KEPT: Final = 8  # Blocks that are kept
 _AHEAD: Final = 0.4  # Part of a block after which the next one is computed
 T = TypeVar("T")

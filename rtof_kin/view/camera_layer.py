@@ -24,13 +24,11 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.view.legend import DETECTED, REPROJECTED
 from rtof_kin.vision.video_metadata import open_video, slow_motion, upright_image
 
-HEIGHT: Final = 360
-"""[px] Largest height of the images."""
+HEIGHT: Final = 360  #: [px] Largest height of the images
 _AHEAD: Final = 2.0  # [s] Up to which images are decoded one after the other instead of sought
 _ROUNDING: Final = 0.004  # [s] By which a stamp may be before that of its image
 Image = NDArray[np.uint8]
-DEPTH: Final = 0.6
-"""[m] of the image before the camera."""
+DEPTH: Final = 0.6  #: [m] of the image before the camera
 _EDGES: Final = (40, 40, 48)
 _POINT: Final = 0.009  # Size of a point relative to the depth
 _BEHIND: Final = 1.003  # Depth of the image relative to that of the points
@@ -154,12 +152,9 @@ def _small(image_bgr: Image) -> Image:
 class CameraBlock:
     """Points and pose of one camera in the frames of a block."""
 
-    R_world_camera: Array
-    """(n, 3, 3) of the video's camera; NaN where a handheld one's is unknown."""
-    detected: Array
-    """(n, L, 3) points at depth 1 in camera axes; NaN where missing."""
-    reprojected: Array
-    """(n, J, 3) joints of the motion at depth 1 in camera axes; NaN where missing."""
+    R_world_camera: Array  #: (n, 3, 3) of the video's camera; NaN where a handheld one's is unknown
+    detected: Array  #: (n, L, 3) points at depth 1 in camera axes; NaN where missing
+    reprojected: Array  #: (n, J, 3) joints of the motion at depth 1 in camera axes; NaN where missing
 
 
 def video_camera(view: KeypointSequence) -> Camera:

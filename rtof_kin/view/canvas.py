@@ -42,12 +42,9 @@ class Stroke:
     """How a line or disc is drawn."""
 
     colour: Rgb
-    radius: float
-    """Half width, px."""
-    edge: Rgb | None = None
-    """Colour of the edge around it; None for no edge."""
-    edge_width: float = 0.0
-    """Width of that edge, px."""
+    radius: float  #: Half width, px
+    edge: Rgb | None = None  #: Colour of the edge around it; None for no edge
+    edge_width: float = 0.0  #: Width of that edge, px
 
 
 @dataclass(frozen=True)
@@ -229,18 +226,12 @@ class Lettering:
 class Label:
     """A label that is to be placed."""
 
-    name: str
-    """Of the label, the same in every frame."""
-    x: float
-    """Column of its point, px."""
-    y: float
-    """Row of its point, px."""
-    width: int
-    """px."""
-    height: int
-    """px."""
-    leftwards: bool = False
-    """Whether the left of the point is preferred."""
+    name: str  #: Of the label, the same in every frame
+    x: float  #: Column of its point, px
+    y: float  #: Row of its point, px
+    width: int  #: px
+    height: int  #: px
+    leftwards: bool = False  #: Whether the left of the point is preferred
 
 
 @dataclass

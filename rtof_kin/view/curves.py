@@ -18,15 +18,12 @@ from rtof_kin.data.confidence import BAND_95
 from rtof_kin.view.blocks import BlockCache
 from rtof_kin.view.legend import curves_html
 
-WHOLE_S: Final = 300.0
-"""[s] Longest motion whose angles are computed at once, as by `analyse`."""
+WHOLE_S: Final = 300.0  #: [s] Longest motion whose angles are computed at once, as by `analyse`
 _PART_S: Final = 60.0
 _MOVES: Final = np.radians(1.0)  # [rad] Range of a hinge beyond which constant other angles are seen to be fixed
 _MARGIN_S: Final = 8.0  # [s] before and after a part, so that a window of it is whole
-WINDOW: Final = 5.0
-"""[s] shown before and after the cursor."""
-COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))
-"""RGB of the curves (Okabe and Ito, 2008)."""
+WINDOW: Final = 5.0  #: [s] shown before and after the cursor
+COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))  #: RGB of the curves (Okabe and Ito, 2008)
 _NONE: Final = "none"
 _FIRST: Final = ("right_knee_flexion", "left_knee_flexion")  # Angles that are shown at the start
 _LEAST_SPAN: Final = 10.0  # [deg] of the vertical axis

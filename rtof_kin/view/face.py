@@ -36,10 +36,8 @@ _DIRECTIONS: Final = np.vstack([np.eye(3), -np.eye(3), _CORNERS])  # (14, 3) uni
 class FaceRegion:
     """Where the face of the tracked person may be."""
 
-    box: Box | None
-    """Pixels to be blurred; None: all of the picture."""
-    block: int
-    """Size of the blocks, px."""
+    box: Box | None  #: Pixels to be blurred; None: all of the picture
+    block: int  #: Size of the blocks, px
 
 
 class FaceFinder:

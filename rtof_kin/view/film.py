@@ -45,36 +45,24 @@ _STAGE: Final = "draw"
 class ResultFiles:
     """Contents of the output folder of a reconstruction that an overlay needs."""
 
-    motion: Motion
-    """The motion."""
-    mode: str
-    """Mode of the reconstruction."""
-    measurements: Measurements
-    """What it was computed from."""
-    verdict: Verdict
-    """Of the summary."""
+    motion: Motion  #: The motion
+    mode: str  #: Mode of the reconstruction
+    measurements: Measurements  #: What it was computed from
+    verdict: Verdict  #: Of the summary
 
 
 @dataclass(frozen=True)
 class OverlayResult:
     """What was written."""
 
-    path: Path
-    """The file."""
-    width_px: int
-    """Width of the pictures, px."""
-    height_px: int
-    """Height of the pictures, px."""
-    frames: int
-    """Number of pictures."""
-    without_motion: int
-    """Number of those without a person."""
-    encoder: str
-    """Name of the encoder."""
-    notes: tuple[str, ...]
-    """What does not fit between video and motion."""
-    verdict: Verdict
-    """Of the motion, which is not drawn on the pictures."""
+    path: Path  #: The file
+    width_px: int  #: Width of the pictures, px
+    height_px: int  #: Height of the pictures, px
+    frames: int  #: Number of pictures
+    without_motion: int  #: Number of those without a person
+    encoder: str  #: Name of the encoder
+    notes: tuple[str, ...]  #: What does not fit between video and motion
+    verdict: Verdict  #: Of the motion, which is not drawn on the pictures
 
 
 def read_result(folder: str | Path) -> ResultFiles:

@@ -29,12 +29,9 @@ _ROUNDING_PX: Final = 2.0  # Largest difference of a side by rounding
 _USUAL_HZ: Final = 30.0  # Assumed of a video that does not state its frame rate
 _RATE: Final = 0.02  # Largest relative difference of frame rates that is not pointed out
 SUFFIXES: Final = (".mp4", ".gif")
-GIF_WIDTH: Final = 480
-"""Largest width of a GIF unless another one is asked for, px."""
-GIF_HEIGHT: Final = 640
-"""Largest height of a GIF unless a width is asked for, px."""
-GIF_RATE_HZ: Final = 15.0
-"""Highest frame rate of a GIF."""
+GIF_WIDTH: Final = 480  #: Largest width of a GIF unless another one is asked for, px
+GIF_HEIGHT: Final = 640  #: Largest height of a GIF unless a width is asked for, px
+GIF_RATE_HZ: Final = 15.0  #: Highest frame rate of a GIF
 MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
 """Most pixels of all pictures of a GIF, which are in memory until it is written."""
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
@@ -51,26 +48,19 @@ _BT709: Final = 1  # FFmpeg's number of the colour space of BT.709
 class Picture:
     """A picture to be drawn on."""
 
-    image: Image
-    """(height, width, 3), BGR."""
-    time: float
-    """s, on the clock of --from and --to."""
-    stamp: float
-    """s, in the file that is written."""
-    index: int
-    """Counted from 0."""
-    total: int
-    """Number of pictures; 0 where unknown."""
+    image: Image  #: (height, width, 3), BGR
+    time: float  #: s, on the clock of --from and --to
+    stamp: float  #: s, in the file that is written
+    index: int  #: Counted from 0
+    total: int  #: Number of pictures; 0 where unknown
 
 
 @dataclass(frozen=True)
 class VideoSource:
     """The frames of a video file, upright."""
 
-    path: Path
-    """The video."""
-    metadata: VideoMetadata
-    """Of the file."""
+    path: Path  #: The video
+    metadata: VideoMetadata  #: Of the file
 
     @property
     def size(self) -> tuple[int, int]:
@@ -93,12 +83,9 @@ class VideoSource:
 class PlainSource:
     """A plain background at the times of a motion."""
 
-    size: tuple[int, int]
-    """Width and height, px."""
-    times: Array
-    """(T,) s of the motion."""
-    background: Background
-    """Its colour."""
+    size: tuple[int, int]  #: Width and height, px
+    times: Array  #: (T,) s of the motion
+    background: Background  #: Its colour
 
     @property
     def rate_hz(self) -> float:

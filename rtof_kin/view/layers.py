@@ -139,12 +139,9 @@ class Companion:
 class SensorBlock:
     """Sensors in the frames of a block."""
 
-    p_world: NDArray[np.float32]
-    """(n, S, 3) m; 0 where unknown."""
-    quat_wxyz: NDArray[np.float32]
-    """(n, S, 4) measured orientations."""
-    measured: Mask
-    """(n, S) whether place and orientation are known."""
+    p_world: NDArray[np.float32]  #: (n, S, 3) m; 0 where unknown
+    quat_wxyz: NDArray[np.float32]  #: (n, S, 4) measured orientations
+    measured: Mask  #: (n, S) whether place and orientation are known
 
 
 class Sensors:

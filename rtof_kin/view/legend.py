@@ -39,16 +39,12 @@ WORDS: Final[dict[Provenance, str]] = {
 """Legend by provenance."""
 
 
-DETECTED: Final[Rgb] = (213, 94, 0)
-"""Detected points in the 3D scene."""
-REPROJECTED: Final[Rgb] = (0, 114, 178)
-"""Joints of the motion in the image."""
+DETECTED: Final[Rgb] = (213, 94, 0)  #: Detected points in the 3D scene
+REPROJECTED: Final[Rgb] = (0, 114, 178)  #: Joints of the motion in the image
 TRUTH: Final[Rgb] = (70, 70, 78)
-SECOND: Final[Rgb] = (170, 60, 190)
-"""A second motion beside the first."""
+SECOND: Final[Rgb] = (170, 60, 190)  #: A second motion beside the first
 _GRADES: Final = ("pass", "warn", "fail")
-GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}
-"""RGB by verdict."""
+GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}  #: RGB by verdict
 _UNKNOWN: Final = (90, 90, 90)
 
 
@@ -56,12 +52,9 @@ _UNKNOWN: Final = (90, 90, 90)
 class Verdict:
     """What the summary says about a motion."""
 
-    grade: str
-    """'pass', 'warn' or 'fail'; empty where there is no verdict."""
-    text: str
-    """Sentence with the reason."""
-    recording: str
-    """Name of the recording; empty if unknown."""
+    grade: str  #: 'pass', 'warn' or 'fail'; empty where there is no verdict
+    text: str  #: Sentence with the reason
+    recording: str  #: Name of the recording; empty if unknown
 
     @property
     def line(self) -> str:

@@ -23,8 +23,7 @@ from rtof_kin.view.camera_layer import DEPTH, CameraBlock, CameraLayer, camera_b
 from rtof_kin.view.layers import Companion, Person, RootPath, SensorBlock, Sensors
 from rtof_kin.view.legend import PALETTE, SECOND, TRUTH
 
-WORLD: Final = "/world"
-"""Node that all others are in; it is moved to follow a person."""
+WORLD: Final = "/world"  #: Node that all others are in; it is moved to follow a person
 _DISTANCE: Final = 3.4  # [m] of the first view from the person
 _ASIDE: Final = np.radians(52.0)
 """[rad] Direction of the first view from the person, away from that to the camera or from where the person faces."""
@@ -160,8 +159,7 @@ class SceneBlock:
     second: BlockContent | None
     sensors: SensorBlock | None
     cameras: tuple[CameraBlock, ...]
-    video_times: tuple[Array, ...]
-    """(n,) s of each camera's video."""
+    video_times: tuple[Array, ...]  #: (n,) s of each camera's video
 
 
 class MotionScene:

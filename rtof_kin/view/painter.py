@@ -28,12 +28,10 @@ from rtof_kin.view.projected_motion import Moment, ProjectedMotion, ProjectedPos
 
 USUAL: Final = tuple(f"{side}_{joint}_flexion" for joint in ("knee", "hip", "elbow") for side in SIDES)
 """Angles that are shown unless others are chosen."""
-UNKNOWN: Final = "-"
-"""Value of an angle that is not observed, or unreliable."""
+UNKNOWN: Final = "-"  #: Value of an angle that is not observed, or unreliable
 BLACK: Final[Rgb] = (20, 20, 20)
 WHITE: Final[Rgb] = (255, 255, 255)
-CROSSES: Final[Rgb] = (240, 228, 66)
-"""Crosses at detected points; yellow of Okabe and Ito."""
+CROSSES: Final[Rgb] = (240, 228, 66)  #: Crosses at detected points; yellow of Okabe and Ito
 _GREY, _PALE, _FAULT = (120, 120, 120), (200, 200, 200), (255, 205, 90)
 _SQUARED_95: Final = 5.991  # 95 % quantile of chi-squared with two degrees of freedom
 _FILL, _LABEL_OPACITY, _CAPTION_OPACITY = 0.18, 0.6, 0.75
@@ -47,16 +45,11 @@ _ALONG: Final = np.linspace(0, 1, 5)  # Points along each bone that labels shoul
 class AngleLabels:
     """Chosen angles of a motion, their joints and their texts."""
 
-    names: tuple[str, ...]
-    """A names, e.g. 'right_knee_flexion'."""
-    titles: tuple[str, ...]
-    """A short names, e.g. 'R knee'."""
-    joints: tuple[int, ...]
-    """A joints of the skeleton beside which they stand."""
-    values_deg: Array
-    """(T, A) deg; NaN where not observed or unreliable."""
-    half_deg: Array
-    """(T, A) deg, half width of the 95 % band; NaN where unknown."""
+    names: tuple[str, ...]  #: A names, e.g. 'right_knee_flexion'.
+    titles: tuple[str, ...]  #: A short names, e.g. 'R knee'.
+    joints: tuple[int, ...]  #: A joints of the skeleton beside which they stand
+    values_deg: Array  #: (T, A) deg; NaN where not observed or unreliable
+    half_deg: Array  #: (T, A) deg, half width of the 95 % band; NaN where unknown
 
     def widest(self, index: int) -> str:
         """Return a text as wide as any of an angle."""
@@ -138,16 +131,11 @@ def draw_skeleton(
 class CaptionTexts:
     """What captions say in all pictures of a film."""
 
-    title: str
-    """One line beside the time."""
-    faults: tuple[StreamFault, ...] = ()
-    """Shown while they last."""
-    provenances: tuple[Provenance, ...] = ()
-    """For the legend."""
-    detected: bool = False
-    """Whether detected points are drawn."""
-    bands: bool = False
-    """Whether 95 % ellipses are drawn."""
+    title: str  #: One line beside the time
+    faults: tuple[StreamFault, ...] = ()  #: Shown while they last
+    provenances: tuple[Provenance, ...] = ()  #: For the legend
+    detected: bool = False  #: Whether detected points are drawn
+    bands: bool = False  #: Whether 95 % ellipses are drawn
 
 
 class Captions:

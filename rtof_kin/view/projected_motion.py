@@ -34,14 +34,10 @@ _WEAKEST: Final = int(Provenance.PRIOR)
 class VirtualView:
     """A camera that looks at the person from the front, for motions without a camera."""
 
-    camera: Camera
-    """The virtual camera."""
-    video_times: Array
-    """(T,) s, the motion's times."""
-    moved: Array
-    """(T, 3) m, subtracted from all points of a frame: the way of a person that is followed."""
-    names: tuple[str, ...] = ()
-    """Nothing is detected."""
+    camera: Camera  #: The virtual camera
+    video_times: Array  #: (T,) s, the motion's times
+    moved: Array  #: (T, 3) m, subtracted from all points of a frame: the way of a person that is followed
+    names: tuple[str, ...] = ()  #: Nothing is detected
 
     def project(self, p_world: Array, frames: Any) -> Array:
         """Project points to pixels (n, ..., 2). `p_world`: (n, ..., 3) m. `frames`: (n,) of the motion."""
@@ -88,16 +84,11 @@ def virtual_view(motion: Motion) -> VirtualView:
 class ScaledView:
     """A view in a picture of another size."""
 
-    view: PictureView
-    """Of the recorded size."""
-    scale: float
-    """Pixels of the picture per pixel of the view's image."""
-    width_px: int
-    """Width of the picture, px."""
-    height_px: int
-    """Height of the picture, px."""
-    video_times: Array
-    """(T,) s of the motion's frames, on the clock of the pictures."""
+    view: PictureView  #: Of the recorded size
+    scale: float  #: Pixels of the picture per pixel of the view's image
+    width_px: int  #: Width of the picture, px
+    height_px: int  #: Height of the picture, px
+    video_times: Array  #: (T,) s of the motion's frames, on the clock of the pictures
 
     @property
     def camera(self) -> Camera:
@@ -126,12 +117,9 @@ class ScaledView:
 class Moment:
     """An instant between two frames of a motion."""
 
-    before: int
-    """Frame of the motion."""
-    after: int
-    """The same frame or the next one."""
-    weight: float
-    """Of the second one, 0 to 1."""
+    before: int  #: Frame of the motion
+    after: int  #: The same frame or the next one
+    weight: float  #: Of the second one, 0 to 1
 
     @property
     def frames(self) -> NDArray[np.int_]:
@@ -149,13 +137,11 @@ class Moment:
 class ProjectedPose:
     """A person in a picture."""
 
-    time: float
-    """s, of the motion."""
+    time: float  #: s, of the motion
     uv_px: Array
     """(P, 2) pixels of the joints and the ends of the limbs; NaN where unobserved or behind the camera, and
     all where no joint is observed."""
-    provenance: NDArray[np.uint8]
-    """(P,) `Provenance`; of the weaker frame where two are interpolated."""
+    provenance: NDArray[np.uint8]  #: (P,) `Provenance`; of the weaker frame where two are interpolated
 
 
 class ProjectedMotion:

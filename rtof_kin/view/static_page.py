@@ -20,12 +20,9 @@ from rtof_kin.view.legend import Verdict, legend_html, verdict_html
 from rtof_kin.view.motion_scene import Layer, MotionScene
 from rtof_kin.view.viewer import Opened
 
-LARGEST_MB: Final = 50.0
-"""[MB] Default limit of the file."""
-FASTEST_HZ: Final = 30.0
-"""Default rate of the frames."""
-SLOWEST_HZ: Final = 5.0
-"""Least rate to which a long motion is thinned out."""
+LARGEST_MB: Final = 50.0  #: [MB] Default limit of the file
+FASTEST_HZ: Final = 30.0  #: Default rate of the frames
+SLOWEST_HZ: Final = 5.0  #: Least rate to which a long motion is thinned out
 _TRIAL: Final = 40  # Frames from which the size is estimated
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
@@ -51,10 +48,8 @@ class StaticPage:
     path: Path
     frames: int
     rate_hz: float
-    size_mb: float
-    """[MB]"""
-    thinned: bool
-    """Whether the rate is below what was asked for, to keep the size."""
+    size_mb: float  #: [MB]
+    thinned: bool  #: Whether the rate is below what was asked for, to keep the size
 
 
 def frames_of_page(times: Array, start: float | None, stop: float | None, rate_hz: float) -> list[int]:

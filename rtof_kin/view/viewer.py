@@ -28,8 +28,7 @@ from rtof_kin.view.legend import PALETTE, Verdict, legend_html, read_verdict, se
 from rtof_kin.view.live_client import LiveClient
 from rtof_kin.view.motion_scene import MotionScene, Stage
 
-FASTEST: Final = 60.0
-"""[Hz] at which frames are sent."""
+FASTEST: Final = 60.0  #: [Hz] at which frames are sent
 _SLIDER_S: Final = 0.1  # Time between two moves of the slider while playing
 _CURVES_S: Final = 0.125  # Time between two updates of the curves while playing
 _PATIENCE: Final = 20.0  # [s] for the first frame
@@ -46,8 +45,7 @@ class Opened:
     measurements: MeasurementsReader | None
     second: MotionReader | None
     verdict: Verdict
-    notes: tuple[str, ...]
-    """What is not shown, and how to get it."""
+    notes: tuple[str, ...]  #: What is not shown, and how to get it
 
 
 class MotionFiles:

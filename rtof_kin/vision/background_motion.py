@@ -47,21 +47,16 @@ _LENS: Final = 0.01  # relative error of the focal length by unknown distortion 
 class Turned(NamedTuple):
     """Rotation between two images."""
 
-    R_a_b: Array
-    """(3, 3) bearings of b to those of a."""
-    inliers: Mask
-    """(n,) points that agree with it."""
-    sigma: float
-    """Standard deviation per axis, rad, of the axis that is known the least."""
+    R_a_b: Array  #: (3, 3) bearings of b to those of a
+    inliers: Mask  #: (n,) points that agree with it
+    sigma: float  #: Standard deviation per axis, rad, of the axis that is known the least
 
 
 class Pair(NamedTuple):
     """Corresponding points of two images of one camera, px."""
 
-    uv_a: Array
-    """(n, 2)."""
-    uv_b: Array
-    """(n, 2)."""
+    uv_a: Array  #: (n, 2)
+    uv_b: Array  #: (n, 2)
 
 
 def bearings(camera: Camera, uv_px: Array) -> Array:
@@ -131,8 +126,7 @@ def focal_factor(camera: Camera, pairs: Sequence[Pair], sigma: float) -> tuple[f
 
 
 Gray = NDArray[np.uint8]
-MOST_TURNED_DEG: Final = 0.5
-"""Largest turn of a camera that stands still; less is noise and trembling of a tripod."""
+MOST_TURNED_DEG: Final = 0.5  #: Largest turn of a camera that stands still; less is noise and trembling of a tripod
 _LONG_SIDE: Final = 720  # px of the image that is worked on
 _FASTEST: Final = 0.024  # [s] between the frames that are looked at
 _POINTS, _APART = 250, 9  # corners of a keyframe; px between them
@@ -150,14 +144,10 @@ _PAIRS, _PAIR_POINTS, _LEAST_TURN = 60, 40, np.radians(2.0)  # for the focal len
 class BackgroundMotion:
     """Turning of a camera by the background of its video."""
 
-    motion: CameraMotion
-    """Rotations of the frames; NaN where too little of the background could be followed."""
-    camera: Camera
-    """The camera with the focal length that the rotations were computed with."""
-    sigma_focal: float
-    """Relative standard deviation of that focal length."""
-    points: int
-    """Median number of background points that a rotation rests on."""
+    motion: CameraMotion  #: Rotations of the frames; NaN where too little of the background could be followed
+    camera: Camera  #: The camera with the focal length that the rotations were computed with
+    sigma_focal: float  #: Relative standard deviation of that focal length
+    points: int  #: Median number of background points that a rotation rests on
 
     @property
     def known(self) -> float:
@@ -279,19 +269,16 @@ class _Key(NamedTuple):
     """A keyframe."""
 
     gray: Gray
-    frame: int
-    """Its number among the frames."""
+    frame: int  #: Its number among the frames
     R_first_key: Array
-    uv: Array
-    """(n, 2) corners, px."""
+    uv: Array  #: (n, 2) corners, px
 
 
 class _Link(NamedTuple):
     """A frame that was followed from a keyframe."""
 
     key: int
-    pair: Pair
-    """Points of the keyframe and of the frame."""
+    pair: Pair  #: Points of the keyframe and of the frame
     turned: Turned
 
 

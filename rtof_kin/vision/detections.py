@@ -38,26 +38,19 @@ _BODY_OF_WHOLE: Final = {133: 23, 136: 26}
 class Person:
     """One person in one frame."""
 
-    points: Array
-    """(K, 3) x, y, confidence."""
-    identity: int = NO_IDENTITY
-    """Number given by a tracker, -1 without one."""
+    points: Array  #: (K, 3) x, y, confidence
+    identity: int = NO_IDENTITY  #: Number given by a tracker, -1 without one
 
 
 @dataclass(frozen=True)
 class Detections:
     """Points of up to P people in T frames; the order of people may change between frames."""
 
-    uv_px: Array
-    """(T, P, K, 2); NaN where not detected."""
-    confidence: Array
-    """(T, P, K) in [0, 1]; 0 where not detected."""
-    times: Array | None = None
-    """(T,) s, if the file has them."""
-    names: tuple[str, ...] | None = None
-    """K names of the points in the file, if it has them."""
-    identity: Ints | None = None
-    """(T, P) numbers given by a tracker, -1 where there is none; None without a tracker."""
+    uv_px: Array  #: (T, P, K, 2); NaN where not detected
+    confidence: Array  #: (T, P, K) in [0, 1]; 0 where not detected
+    times: Array | None = None  #: (T,) s, if the file has them
+    names: tuple[str, ...] | None = None  #: K names of the points in the file, if it has them
+    identity: Ints | None = None  #: (T, P) numbers given by a tracker, -1 where there is none; None without a tracker
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -160,12 +153,9 @@ _ROWS: Final = {
 }
 """Meaning -> names of its column."""
 _NEEDED: Final = ("frame", "point", "x", "y")
-_LARGEST_STEP: Final = 30
-"""Largest difference of the numbers of points of one body, some of which may never be seen."""
-_HANDS, _LAST_OF_HOLISTIC = 100, 32
-"""First number of hands, and last of the body, of Caliscope's holistic tracker."""
-_LARGEST_METRES: Final = 50.0
-"""Coordinates of markers beyond this are no metres, whatever their file says."""
+_LARGEST_STEP: Final = 30  #: Largest difference of the numbers of points of one body, some of which may never be seen
+_HANDS, _LAST_OF_HOLISTIC = 100, 32  #: First number of hands, and last of the body, of Caliscope's holistic tracker
+_LARGEST_METRES: Final = 50.0  #: Coordinates of markers beyond this are no metres, whatever their file says
 TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
 """Names of a column of times, and their unit, s."""
 _NO_POINTS = {"frame", "frame_id", "index", ""}

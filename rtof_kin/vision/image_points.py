@@ -28,13 +28,11 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
 from rtof_kin.vision.layouts import Layout, detector_table, mirrored
 
-HARMONICS: Final = 8
-"""Functions of the direction to the camera (`harmonics`)."""
+HARMONICS: Final = 8  #: Functions of the direction to the camera (`harmonics`)
 _MIRROR: Final = np.array([1.0, -1.0, 1.0])
 MIRROR_HARMONICS: Final = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """Signs of the `harmonics` where y changes its sign."""
-_LEG: Final = 0.75
-"""[m] Thigh and shank of the measured places."""
+_LEG: Final = 0.75  #: [m] Thigh and shank of the measured places
 
 
 def harmonics(direction: Array) -> Array:
@@ -51,22 +49,14 @@ class DetectorPoint:
     shipped skeleton.
     """
 
-    anchor: str
-    """Joint next to it."""
-    frame: str
-    """Segment in which it is fixed; it begins or ends at the anchor."""
-    place: Array
-    """(3,) from the anchor, m."""
-    size: float
-    """[m] Standard deviation of its errors per axis, up to a scale that is common to all points."""
-    independent: float
-    """[1] Weight beside correlated neighbours."""
-    place_sd: Array
-    """(3,) of its place between persons, m."""
-    second: str
-    """Segment that moves the place too."""
-    second_place: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) in the second segment's frame, m."""
+    anchor: str  #: Joint next to it
+    frame: str  #: Segment in which it is fixed; it begins or ends at the anchor
+    place: Array  #: (3,) from the anchor, m
+    size: float  #: [m] Standard deviation of its errors per axis, up to a scale that is common to all points
+    independent: float  #: [1] Weight beside correlated neighbours
+    place_sd: Array  #: (3,) of its place between persons, m
+    second: str  #: Segment that moves the place too
+    second_place: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) in the second segment's frame, m
     view: Array = field(default_factory=lambda: np.zeros((HARMONICS, 3)))
     """(8, 3) displacement by the direction of view in the pelvis frame, m."""
 
@@ -158,26 +148,16 @@ class ImagePoints:
     """L points of a skeleton; indices are those of its joints."""
 
     names: tuple[str, ...]
-    on: tuple[tuple[int, bool], ...]
-    """Segment of each, and whether it is the joint where the segment begins."""
-    places: Array
-    """(L, 3) in the link frames, m."""
-    sizes: Array
-    """(L,) expected errors relative to those of the others."""
-    independent: Array
-    """(L,) weights beside correlated neighbours, relative to those of the others."""
-    place_covariance: Array
-    """(L, 3, 3) of the places between persons, m^2; zero for the skeleton's landmarks."""
-    anchors: tuple[int, ...]
-    """Joint next to each."""
-    seconds: tuple[int, ...]
-    """Segment that moves the point too."""
-    second_places: Array
-    """(L, 3) in the second segments' link frames, m."""
-    views: Array
-    """(L, 8, 3) displacement by the direction of view in the pelvis frame, m."""
-    R_bone_pelvis: Array
-    """(3, 3) frame of the views in the root's link frame."""
+    on: tuple[tuple[int, bool], ...]  #: Segment of each, and whether it is the joint where the segment begins
+    places: Array  #: (L, 3) in the link frames, m
+    sizes: Array  #: (L,) expected errors relative to those of the others
+    independent: Array  #: (L,) weights beside correlated neighbours, relative to those of the others
+    place_covariance: Array  #: (L, 3, 3) of the places between persons, m^2; zero for the skeleton's landmarks
+    anchors: tuple[int, ...]  #: Joint next to each
+    seconds: tuple[int, ...]  #: Segment that moves the point too
+    second_places: Array  #: (L, 3) in the second segments' link frames, m
+    views: Array  #: (L, 8, 3) displacement by the direction of view in the pelvis frame, m
+    R_bone_pelvis: Array  #: (3, 3) frame of the views in the root's link frame
 
     def positions(self, p_world_joint: Array, R_world_bone: Array) -> Array:
         """Return the points (T, L, 3) in world, m. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3)."""

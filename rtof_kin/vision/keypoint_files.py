@@ -41,8 +41,7 @@ from rtof_kin.formats.xdf import read_xdf_points
 from rtof_kin.vision.detections import NO_IDENTITY, TIMES, Detections, Person, of_body, read_csv_table, read_pixel_trc
 
 FORMATS = (".json", ".npz", ".npy", ".csv", ".trc", ".xdf")
-ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")
-"""Names of the array of points in an .npz."""
+ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")  #: Names of the array of points in an .npz
 _LARGEST_JSON = 256 * 2**20  # bytes
 _WHAT = "JSON of moderate size; write one file a frame, or .npz"
 _PEOPLE = ("people", "bodies", "instances")

@@ -37,14 +37,10 @@ MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that ma
 class DetectedKeypoints:
     """Keypoints of one person with their provenance."""
 
-    keypoints: KeypointSequence
-    """The skeleton's landmarks in the image, then the detector's own points."""
-    landmarks: RegressedLandmarks
-    """The landmarks with expected errors."""
-    recognition: Recognition
-    """Layout of the detector."""
-    track: PersonTrack
-    """Index of the person in each frame."""
+    keypoints: KeypointSequence  #: The skeleton's landmarks in the image, then the detector's own points
+    landmarks: RegressedLandmarks  #: The landmarks with expected errors
+    recognition: Recognition  #: Layout of the detector
+    track: PersonTrack  #: Index of the person in each frame
 
     @property
     def summary(self) -> str:

@@ -62,14 +62,10 @@ class Likelihood(NamedTuple):
 class PoseGaussian:
     """Mean and covariance of N points, and the noise of a detector."""
 
-    names: tuple[str, ...]
-    """N points."""
-    mean: Array
-    """(N, 2) RMS radii, right and down."""
-    covariance: Array
-    """(2N, 2N), x and y of each point in turn."""
-    noise: float
-    """Standard deviation of a detector's error per axis, RMS radii."""
+    names: tuple[str, ...]  #: N points
+    mean: Array  #: (N, 2) RMS radii, right and down
+    covariance: Array  #: (2N, 2N), x and y of each point in turn
+    noise: float  #: Standard deviation of a detector's error per axis, RMS radii
 
     def __post_init__(self) -> None:
         N = len(self.names)
@@ -161,15 +157,12 @@ LEAST_SHARE: Final = 0.1  # [-] of an observed landmark's expected square error 
 class RegressedLandmarks:
     """Landmarks of the skeleton in an image."""
 
-    names: tuple[str, ...]
-    """L landmarks: all joints, then those that the layout shows."""
-    uv_px: Array
-    """(T, L, 2); NaN where unobserved."""
+    names: tuple[str, ...]  #: L landmarks: all joints, then those that the layout shows
+    uv_px: Array  #: (T, L, 2); NaN where unobserved
     confidence: Array
     """(T, L) weighted mean confidence of the points times the detector's fraction of the expected square
     error; 0 where unobserved."""
-    sigma_px: Array
-    """(T, L) expected error per axis, px; NaN where unobserved."""
+    sigma_px: Array  #: (T, L) expected error per axis, px; NaN where unobserved
 
 
 class LandmarkRegression:
@@ -310,8 +303,7 @@ class Recognition:
 
     layout: Layout
     reason: str
-    order: tuple[int, ...]
-    """(K,) index of each of its points among those of the file."""
+    order: tuple[int, ...]  #: (K,) index of each of its points among those of the file
 
 
 class _Fit(NamedTuple):

@@ -23,10 +23,8 @@ from rtof_kin.core.packages import Extensions
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import layout_and_point
 
-OWN_LAYOUTS: Final = ("joints", "landmarks")
-"""Layouts of the skeleton's own points, not of a detector."""
-FEWEST_NAMED: Final = 12
-"""Fewest points of a layout by which it is recognised where others are missing."""
+OWN_LAYOUTS: Final = ("joints", "landmarks")  #: Layouts of the skeleton's own points, not of a detector
+FEWEST_NAMED: Final = 12  #: Fewest points of a layout by which it is recognised where others are missing
 _SIDES = {"l": "Left", "left": "Left", "r": "Right", "right": "Right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
@@ -35,14 +33,10 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 class Layout:
     """Points of one kind of detector."""
 
-    name: str
-    """Identifier in settings and files, e.g. 'halpe26'."""
-    title: str
-    """Name for people."""
-    names: tuple[str, ...]
-    """K names of the points in the detector's own words and order."""
-    points: tuple[str, ...]
-    """K points of `DetectorTable` or landmarks of the skeleton (`own`)."""
+    name: str  #: Identifier in settings and files, e.g. 'halpe26'.
+    title: str  #: Name for people
+    names: tuple[str, ...]  #: K names of the points in the detector's own words and order
+    points: tuple[str, ...]  #: K points of `DetectorTable` or landmarks of the skeleton (`own`)
 
     @classmethod
     def of(cls, name: str, title: str, names: Iterable[str], points: Mapping[str, str] | None = None) -> Self:
@@ -73,12 +67,9 @@ class Layout:
 class DetectorTable:
     """All layouts and the body's points that they consist of."""
 
-    path: Path
-    """File of the table."""
-    points: tuple[Landmark, ...]
-    """U points in the link frames of the shipped skeleton."""
-    layouts: Mapping[str, Layout]
-    """By name; includes the skeleton's own, 'joints' and 'landmarks'."""
+    path: Path  #: File of the table
+    points: tuple[Landmark, ...]  #: U points in the link frames of the shipped skeleton
+    layouts: Mapping[str, Layout]  #: By name; includes the skeleton's own, 'joints' and 'landmarks'
     seen_by: Mapping[str, tuple[str, ...]]
     """Landmark of the skeleton that is no joint -> points that show it, itself included."""
 

@@ -33,18 +33,12 @@ _AGAIN = "run the same command again"
 class ModelFile:
     """A file of a model."""
 
-    name: str
-    """In the cache."""
-    url: str
-    """Of the file, or of a ZIP archive that contains it."""
-    sha256: str
-    """Checksum of what is downloaded."""
-    megabytes: int
-    """Largest size of the download and of the file, 1e6 bytes."""
-    member: str | None = None
-    """Name of the file in the archive; None where it is none."""
-    member_sha256: str | None = None
-    """Checksum of that file."""
+    name: str  #: In the cache
+    url: str  #: Of the file, or of a ZIP archive that contains it
+    sha256: str  #: Checksum of what is downloaded
+    megabytes: int  #: Largest size of the download and of the file, 1e6 bytes
+    member: str | None = None  #: Name of the file in the archive; None where it is none
+    member_sha256: str | None = None  #: Checksum of that file
 
     @property
     def checksum(self) -> str:
@@ -56,16 +50,11 @@ class ModelFile:
 class ModelSet:
     """Models that make a detector together."""
 
-    name: str
-    """For ``--fetch-models``."""
-    title: str
-    """In words."""
-    licence: str
-    """Licence, whose work it is, and what else has to be known."""
-    needs: tuple[str, ...]
-    """Modules that run them."""
-    install: str
-    """Command that installs these."""
+    name: str  #: For ``--fetch-models``
+    title: str  #: In words
+    licence: str  #: Licence, whose work it is, and what else has to be known
+    needs: tuple[str, ...]  #: Modules that run them
+    install: str  #: Command that installs these
     files: tuple[ModelFile, ...]
 
     @property

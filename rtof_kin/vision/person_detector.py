@@ -254,10 +254,8 @@ def _bundle() -> bytes:
 class PersonDetector(Protocol):
     """Finds the people in consecutive images of one video and their keypoints."""
 
-    name: str
-    """Its models, for people."""
-    points: int
-    """Number of points of a person."""
+    name: str  #: Its models, for people
+    points: int  #: Number of points of a person
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
         """Return the people in the next image. image: (height, width, 3), BGR, upright. time: of the image, s."""

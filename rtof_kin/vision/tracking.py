@@ -33,14 +33,10 @@ _FEW_POINTS = 3
 class PersonTrack:
     """Index of the tracked person in each frame."""
 
-    person: Ints
-    """(T,) index among the people of the frame, -1 where lost."""
-    ambiguous: Mask
-    """(T,) frames in which another person fits nearly as well."""
-    people: int
-    """Number of people in the video."""
-    reason: str
-    """How the person was chosen."""
+    person: Ints  #: (T,) index among the people of the frame, -1 where lost
+    ambiguous: Mask  #: (T,) frames in which another person fits nearly as well
+    people: int  #: Number of people in the video
+    reason: str  #: How the person was chosen
 
     @property
     def lost(self) -> Mask:

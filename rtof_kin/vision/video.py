@@ -35,14 +35,10 @@ _log = logging.getLogger(__name__)
 class VideoFrame:
     """One image of a video."""
 
-    time: float
-    """s, real time since the first frame."""
-    image: NDArray[np.uint8]
-    """(height, width, 3), BGR, upright."""
-    index: int
-    """Counted from 0."""
-    total: int
-    """Number of frames according to the file; 0 where unknown."""
+    time: float  #: s, real time since the first frame
+    image: NDArray[np.uint8]  #: (height, width, 3), BGR, upright
+    index: int  #: Counted from 0
+    total: int  #: Number of frames according to the file; 0 where unknown
 
 
 def detect_video(

@@ -108,30 +108,19 @@ _LONGEST_TEXT = 100
 class VideoMetadata:
     """What a video file says about itself; None where it says nothing."""
 
-    width_px: int
-    """Width of the upright image, px."""
-    height_px: int
-    """Height of the upright image, px."""
-    rotation_deg: int = 0
-    """0, 90, 180 or 270: turn of the stored images, counterclockwise, that makes them upright."""
-    rate_hz: float | None = None
-    """Mean frame rate in real time, Hz."""
-    frames: int | None = None
-    """Number of frames; where the file does not state it, from duration and rate."""
-    seconds: float | None = None
-    """Duration in real time, s."""
-    slowed: float = 1.0
-    """Factor by which the file is slower than real time: slow motion of some phones."""
+    width_px: int  #: Width of the upright image, px
+    height_px: int  #: Height of the upright image, px
+    rotation_deg: int = 0  #: 0, 90, 180 or 270: turn of the stored images, counterclockwise, that makes them upright
+    rate_hz: float | None = None  #: Mean frame rate in real time, Hz
+    frames: int | None = None  #: Number of frames; where the file does not state it, from duration and rate
+    seconds: float | None = None  #: Duration in real time, s
+    slowed: float = 1.0  #: Factor by which the file is slower than real time: slow motion of some phones
     start_utc: datetime | None = None
     """Start of the recording; Android's cameras write its end in some models. The clock is the phone's."""
-    make: str | None = None
-    """Maker of the camera."""
-    model: str | None = None
-    """Model of the camera."""
-    lens: str | None = None
-    """The camera's words for its lens, e.g. 'iPhone 15 Pro back camera 6.765mm f/1.78'."""
-    focal_35mm_mm: float | None = None
-    """Focal length as an equivalent for 35 mm film, mm, where the file states it."""
+    make: str | None = None  #: Maker of the camera
+    model: str | None = None  #: Model of the camera
+    lens: str | None = None  #: The camera's words for its lens, e.g. 'iPhone 15 Pro back camera 6.765mm f/1.78'.
+    focal_35mm_mm: float | None = None  #: Focal length as an equivalent for 35 mm film, mm, where the file states it
 
 
 def read_video_metadata(path: str | Path) -> VideoMetadata:
@@ -227,10 +216,8 @@ def _duration(container: Any, stream: Any) -> float | None:
     return seconds if 0 < seconds < 1e7 else None
 
 
-UNKNOWN_FOCAL: Final = 0.76
-"""Focal length over the longer side of the image of an unknown camera: 67 degrees of view."""
-UNKNOWN_SIGMA: Final = 0.15
-"""Its relative standard deviation: 55 to 80 degrees of view are one away."""
+UNKNOWN_FOCAL: Final = 0.76  #: Focal length over the longer side of the image of an unknown camera: 67 degrees of view
+UNKNOWN_SIGMA: Final = 0.15  #: Its relative standard deviation: 55 to 80 degrees of view are one away
 STABILISED, STABILISED_SIGMA = 1.08, 0.07
 """Factor on the focal length by cropping to stabilise, 0 to about 20 %, and its standard deviation."""
 _FILM_WIDTH_MM = 34.61  # diagonal of 35 mm film times 4/5
@@ -248,28 +235,20 @@ _SHAPES = (1.25, 1.95)
 class LensPrior:
     """Lens of a camera before calibration."""
 
-    focal_px: float
-    """Focal length, px."""
-    sigma_focal: float
-    """Relative standard deviation of the focal length."""
-    k1: float
-    """First radial coefficient of OpenCV's distortion model."""
-    sigma_k1: float
-    """Its standard deviation."""
-    source: str
-    """Where this is from: a sentence for reports."""
+    focal_px: float  #: Focal length, px
+    sigma_focal: float  #: Relative standard deviation of the focal length
+    k1: float  #: First radial coefficient of OpenCV's distortion model
+    sigma_k1: float  #: Its standard deviation
+    source: str  #: Where this is from: a sentence for reports
 
 
 class Phone(NamedTuple):
     """Main camera of a phone or tablet in ``models/phones.toml``."""
 
     make: str
-    models: tuple[str, ...]
-    """Names in files, as patterns of `fnmatch`."""
-    focal: float
-    """Focal length over the longer side of the image, without stabilisation."""
-    sigma: float
-    """Relative standard deviation of `focal`."""
+    models: tuple[str, ...]  #: Names in files, as patterns of `fnmatch`
+    focal: float  #: Focal length over the longer side of the image, without stabilisation
+    sigma: float  #: Relative standard deviation of `focal`
     k1: float
     sigma_k1: float
     source: str

@@ -65,8 +65,7 @@ def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
     return found
 
 
-LARGEST_BYTES = 4 * 2**30
-"""Default limit of the total size of the arrays, bytes."""
+LARGEST_BYTES = 4 * 2**30  #: Default limit of the total size of the arrays, bytes
 _LARGEST_CSV = 2**30
 _MOST_AXES = 32
 _CSV = "a CSV file; its first line names the columns"

@@ -47,8 +47,7 @@ if sys.platform != "win32":
     import fcntl
 
 _OWN = re.compile(r"\.rtof_kin-([A-Za-z0-9._]*)-[0-9a-f]{12}")
-_OLD = 24 * 3600.0
-"""[s] without a change after which a folder of another machine, or one without locks, is a leftover."""
+_OLD = 24 * 3600.0  #: [s] without a change after which a folder of another machine, or one without locks, is a leftover
 _log = logging.getLogger(__name__)
 
 
@@ -130,13 +129,11 @@ def _last_change(folder: Path) -> float:
     return max(path.lstat().st_mtime for path in (folder, *folder.rglob("*")))
 
 
-_NAMED = 3
-"""Number of foreign files that an error message lists."""
+_NAMED = 3  #: Number of foreign files that an error message lists
 _NO_EXCHANGE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}
 _NO_LINKS = {errno.ENOSYS, errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP}
 """Errors of file systems that cannot exchange folders or create hard links."""
-_HERE, _EXCHANGE = -100, 2
-"""Linux's AT_FDCWD and RENAME_EXCHANGE."""
+_HERE, _EXCHANGE = -100, 2  #: Linux's AT_FDCWD and RENAME_EXCHANGE
 
 
 def path_inside(folder: Path, name: str) -> Path | None:

@@ -25,8 +25,7 @@ from rtof_kin.core.files.arrays import check_ratio, read_npz_as_saved
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
 
-_MANTISSA: Final = 23
-"""[bits] of a 32-bit float."""
+_MANTISSA: Final = 23  #: [bits] of a 32-bit float
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
@@ -53,13 +52,10 @@ def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
     return multiples(so3.known_log(R), bits).astype(np.float32)
 
 
-_CHUNK: Final = 1 << 16
-"""[bytes] of a chunk at most, unless a row is larger."""
-_ROWS: Final = 512
-"""Rows of a chunk at most."""
+_CHUNK: Final = 1 << 16  #: [bytes] of a chunk at most, unless a row is larger
+_ROWS: Final = 512  #: Rows of a chunk at most
 _MOST_ARRAYS: Final = 1000
-_LARGEST_WHOLE: Final = 512 * 2**20
-"""[bytes] of an array that is read as a whole."""
+_LARGEST_WHOLE: Final = 512 * 2**20  #: [bytes] of an array that is read as a whole
 _FORMAT: Final = ("v110", "v110")
 """Oldest and newest version of the format in a file: with checksums of what is no array, too."""
 _DAMAGED: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError, OverflowError)

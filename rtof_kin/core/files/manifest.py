@@ -22,12 +22,10 @@ MANIFEST = ".rtof_kin.json"
 class Contents:
     """Contents of a folder by owner."""
 
-    kind: str
-    """Marker file of the kind of folder; '' without a manifest."""
+    kind: str  #: Marker file of the kind of folder; '' without a manifest
     own: tuple[Path, ...]
     """Unchanged files and folders of this package without the manifest; a folder follows its contents."""
-    foreign: tuple[str, ...]
-    """Names of all others; names of folders end with '/'."""
+    foreign: tuple[str, ...]  #: Names of all others; names of folders end with '/'
 
 
 def write_manifest(

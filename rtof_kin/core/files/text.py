@@ -15,14 +15,11 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.folder import new_file
 
-LARGEST_TEXT = 2**30
-"""Largest text file, bytes."""
-LARGEST_TOML = 32 * 2**20
-"""Largest TOML file, bytes."""
+LARGEST_TEXT = 2**30  #: Largest text file, bytes
+LARGEST_TOML = 32 * 2**20  #: Largest TOML file, bytes
 _BETWEEN_KEYS, _MOST_DOTS = re.compile(r"[^\w.\"' \t-]"), 1000
 """Separator of keys, and most dots in a key: tomllib needs memory quadratic in the parts of a key."""
-LARGEST_NUMBER = 1e20
-"""Largest magnitude of a number in a file; its square is finite."""
+LARGEST_NUMBER = 1e20  #: Largest magnitude of a number in a file; its square is finite
 
 
 def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:

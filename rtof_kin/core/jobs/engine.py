@@ -29,8 +29,7 @@ class Ended:
 
     key: str
     answer: Any = None
-    lost: str | None = None
-    """Why there is no answer; None where there is one."""
+    lost: str | None = None  #: Why there is no answer; None where there is one
 
 
 class Engine(Protocol):
@@ -73,8 +72,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-_AHEAD: Final = 2
-"""Jobs that are handed to the cluster, for each of its cores."""
+_AHEAD: Final = 2  #: Jobs that are handed to the cluster, for each of its cores
 _LOOK: Final = 10.0  # [s] between two looks at the size of the cluster
 
 
@@ -88,12 +86,9 @@ class RayCluster:
 
     address: str | None = None
     """Of the head node, as HOST:6379, or 'auto'; None: RAY_ADDRESS, else a cluster of this machine alone."""
-    workers: int | None = None
-    """Most jobs at a time; None: one per core of the cluster."""
-    memory_per_job: float = 0.0
-    """[bytes] that Ray reserves on a node for each job."""
-    retries: int = 3
-    """How often a job whose worker or node was lost is tried again."""
+    workers: int | None = None  #: Most jobs at a time; None: one per core of the cluster
+    memory_per_job: float = 0.0  #: [bytes] that Ray reserves on a node for each job
+    retries: int = 3  #: How often a job whose worker or node was lost is tried again
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:

@@ -37,12 +37,10 @@ _Job = tuple[str, Any]
 class Processes:
     """Engine of worker processes on this machine."""
 
-    workers: int | None = None
-    """Most of them; None: one per core that this process may use."""
+    workers: int | None = None  #: Most of them; None: one per core that this process may use
     memory_per_job: float = 0.0
     """[bytes] that one job needs with its process. None starts while less is available; 0: not looked at."""
-    jobs_per_worker: int = 200
-    """A worker that has done as many is replaced by a new one."""
+    jobs_per_worker: int = 200  #: A worker that has done as many is replaced by a new one
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:

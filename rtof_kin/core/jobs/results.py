@@ -28,8 +28,7 @@ from rtof_kin.core.jobs.engine import Engine, InThisProcess
 from rtof_kin.core.jobs.processes import Processes
 
 SETTINGS: Final = "settings.json"
-_MADE_BY: Final = {"made_by": "rtof_kin.protocols"}
-"""Entry of the settings that marks a folder of results."""
+_MADE_BY: Final = {"made_by": "rtof_kin.protocols"}  #: Entry of the settings that marks a folder of results
 _log = logging.getLogger(__name__)
 
 
@@ -37,10 +36,8 @@ _log = logging.getLogger(__name__)
 class JobResult:
     """Result of one job."""
 
-    facts: dict[str, Any]
-    """Plain values, as in JSON; NaN becomes None. 'methods' has what was measured by name."""
-    arrays: dict[str, Array] = field(default_factory=dict)
-    """Curves and poses, for figures."""
+    facts: dict[str, Any]  #: Plain values, as in JSON; NaN becomes None. 'methods' has what was measured by name.
+    arrays: dict[str, Array] = field(default_factory=dict)  #: Curves and poses, for figures
 
 
 @dataclass(frozen=True)
@@ -48,18 +45,15 @@ class Outcome:
     """Results of a set of jobs."""
 
     folder: Path
-    done: dict[str, dict[str, Any]]
-    """Facts of every job that succeeded, by key, in the order of the jobs."""
-    failed: dict[str, str]
-    """Error messages of the others."""
+    done: dict[str, dict[str, Any]]  #: Facts of every job that succeeded, by key, in the order of the jobs
+    failed: dict[str, str]  #: Error messages of the others
 
     def arrays(self, key: str) -> dict[str, Array]:
         """Read the arrays of a job that succeeded."""
         return read_npz(self.folder / f"{key}.npz")
 
 
-Progress = Callable[[int, int, str], None]
-"""Called with (jobs done, jobs in all, last event)."""
+Progress = Callable[[int, int, str], None]  #: Called with (jobs done, jobs in all, last event)
 
 
 def open_runs(

@@ -29,10 +29,8 @@ from rtof_kin.core.resources import cache_folder
 class Factor:
     """Cholesky factor of a system of n unknowns."""
 
-    band: Array
-    """(w, n) in LAPACK's lower band storage."""
-    _compiled: tuple[Store, Array] | None = None
-    """The `Store` whose code made it, and all of its numbers."""
+    band: Array  #: (w, n) in LAPACK's lower band storage
+    _compiled: tuple[Store, Array] | None = None  #: The `Store` whose code made it, and all of its numbers
 
     def solve(self, right: Array) -> Array:
         """Return the solution in the shape of the right-hand side, n numbers in any shape; another size raises

@@ -40,10 +40,8 @@ from rtof_kin.core.resources import cache_folder
 class Origin:
     """Source and compiler of a library."""
 
-    source: str
-    """SHA-256 of everything that determines the C source and the options."""
-    compiler: str
-    """Name and version."""
+    source: str  #: SHA-256 of everything that determines the C source and the options
+    compiler: str  #: Name and version
 
 
 def trusted(folder: Path) -> Path:
@@ -178,11 +176,9 @@ def _private(folder: Path, doubt: str) -> Path:
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
-_USED: dict[str, str] = {}
-"""What evaluates each kind of library in this process: its file, or that it is interpreted."""
+_USED: dict[str, str] = {}  #: What evaluates each kind of library in this process: its file, or that it is interpreted
 COMPILERS = ("cc", "gcc", "clang")
-SWITCH = "RTOF_KIN_COMPILE"
-"""Environment variable; 'never' turns compilation off."""
+SWITCH = "RTOF_KIN_COMPILE"  #: Environment variable; 'never' turns compilation off
 BUILDING = threading.RLock()
 """Lock for building and compiling with CasADi and solving with IPOPT: CasADi releases the GIL, but its reference counts
 of expression nodes and MUMPS are not thread-safe. Any thread may evaluate a function that is built, with buffers of its

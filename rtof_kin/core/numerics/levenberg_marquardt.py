@@ -18,19 +18,14 @@ from rtof_kin.core.errors import SolverError
 
 _LEAST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
-_TRUSTED: Final = (0.5, 2.0)
-"""Ratio of actual to predicted decrease within which the factor is reused."""
-_FAR: Final = 0.1
-"""Predicted decrease, as a share of the energy, of a step so long that its factor is not reused."""
-_SLOW: Final = 0.5
-"""Largest ratio of predicted decreases, of a step with a reused factor to the step before."""
-STIFFNESS: Final = 1 / np.radians(1.0) ** 2
-"""Penalty of the limits, 1/rad^2; multipliers make them exact."""
+_TRUSTED: Final = (0.5, 2.0)  #: Ratio of actual to predicted decrease within which the factor is reused
+_FAR: Final = 0.1  #: Predicted decrease, as a share of the energy, of a step so long that its factor is not reused
+_SLOW: Final = 0.5  #: Largest ratio of predicted decreases, of a step with a reused factor to the step before
+STIFFNESS: Final = 1 / np.radians(1.0) ** 2  #: Penalty of the limits, 1/rad^2; multipliers make them exact
 _USUAL_TOLERANCE: Final = 1e-4
 _LIMIT_TOLERANCE: Final = np.radians(0.1)
 """Violation of limits, rad, allowed at the usual tolerance of the energy; scales with its square root."""
-_EARLY: Final = 10.0
-"""Multipliers are updated if the predicted decrease is below this many tolerances."""
+_EARLY: Final = 10.0  #: Multipliers are updated if the predicted decrease is below this many tolerances
 
 _CAUTION: Final = 4.0
 """Factor on the decrease expected after a step: its own times the relative error of the prediction."""
@@ -91,13 +86,11 @@ class Limits(Protocol):
 class Solved:
     """Result of a minimisation."""
 
-    x: Array
-    """(N, 3 + 4A) state."""
+    x: Array  #: (N, 3 + 4A) state
     iterations: int
     converged: bool
     """True if the predicted decrease of a next step was below the tolerance and the limits were satisfied."""
-    multipliers: Array
-    """(N, M) of the limits, positive at upper, negative at lower ones."""
+    multipliers: Array  #: (N, M) of the limits, positive at upper, negative at lower ones
     out_of_iterations: bool = False
     """True if it stopped at its iteration limit. Neither this nor converged: no step lowers the energy."""
 
@@ -107,16 +100,12 @@ class _Run:
     """State of a minimisation."""
 
     x: Array
-    m: Array
-    """(N, M) multipliers."""
+    m: Array  #: (N, M) multipliers
     energy: float
     damping: float = 1e-3
-    factor: Factor | None = None
-    """Factor to be reused; None if the Hessian has to be computed."""
-    updated: bool = False
-    """True if multipliers were updated since the last step."""
-    promised: float = np.inf
-    """Predicted decrease of the last step."""
+    factor: Factor | None = None  #: Factor to be reused; None if the Hessian has to be computed
+    updated: bool = False  #: True if multipliers were updated since the last step
+    promised: float = np.inf  #: Predicted decrease of the last step
     iterations: int = 0
 
 

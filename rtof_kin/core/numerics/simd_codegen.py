@@ -13,10 +13,8 @@ from typing import Any
 
 import casadi as ca
 
-GROUP = 8
-"""Numbers of a placed output that are stored together; the longest vector."""
-_PIECE = 150
-"""Instructions per C function; compilation time grows faster than linearly with it."""
+GROUP = 8  #: Numbers of a placed output that are stored together; the longest vector
+_PIECE = 150  #: Instructions per C function; compilation time grows faster than linearly with it
 _OPERATIONS = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",
@@ -69,12 +67,9 @@ _PIECE_OF = "static __attribute__((noinline)) void {name}(const Now *now, V *w) 
 class FrameFunction:
     """A function of one frame, to be evaluated for many."""
 
-    function: Any
-    """CasADi SX function with dense inputs and outputs."""
-    shared: tuple[int, ...] = ()
-    """Indices of inputs that are the same for all frames."""
-    placed: bool = False
-    """True if the last output is scattered in groups of `GROUP` numbers."""
+    function: Any  #: CasADi SX function with dense inputs and outputs
+    shared: tuple[int, ...] = ()  #: Indices of inputs that are the same for all frames
+    placed: bool = False  #: True if the last output is scattered in groups of `GROUP` numbers
 
 
 def source(functions: Sequence[FrameFunction]) -> str:

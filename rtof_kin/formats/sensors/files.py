@@ -25,18 +25,14 @@ _MOST_FILES: Final = 1000
 class Format:
     """One format of sensor files."""
 
-    title: str
-    """Name for people, different from those of the other formats."""
-    looks: str
-    """Description of such a file."""
-    recognise: Callable[[str], bool]
-    """Return True for the text that a file of the format begins with."""
+    title: str  #: Name for people, different from those of the other formats
+    looks: str  #: Description of such a file
+    recognise: Callable[[str], bool]  #: Return True for the text that a file of the format begins with
     read: Callable[..., SensorLog]
     """Read a trial from paths, or from one path where `file_is_trial`; keyword arguments are fields of
     `Declaration` that replace the format's own. Raises FileFormatError for anything unreadable,
     incomplete, damaged or inconsistent, and UnknownNameError for an unknown field or value."""
-    file_is_trial: bool = False
-    """True where one file holds all sensors of a trial."""
+    file_is_trial: bool = False  #: True where one file holds all sensors of a trial
 
 
 FORMATS: Final = (

@@ -21,8 +21,7 @@ from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
 
 TITLE: Final = "MATLAB structs"
-LARGEST_BYTES = 2**30
-"""Largest uncompressed content that is read, bytes."""
+LARGEST_BYTES = 2**30  #: Largest uncompressed content that is read, bytes
 _FIELDS: Final = {"acc": 3, "gyr": 3, "mag": 3, "quat": 4}
 _HEADER_BYTES: Final = 128
 _COMPRESSED: Final = 15

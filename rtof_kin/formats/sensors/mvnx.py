@@ -30,56 +30,39 @@ from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
 from rtof_kin.formats.sensors.sensor_text import utc_of_milliseconds
 
 TITLE: Final = "Xsens MVNX"
-LARGEST_BYTES = 2**33
-"""Largest file that is read, bytes; an hour of MVN at 60 Hz with all its tags has about 4 GB."""
-LARGEST_FRAME = 2**24
-"""Largest frame, bytes; MVN's have some 20 thousand."""
+LARGEST_BYTES = 2**33  #: Largest file that is read, bytes; an hour of MVN at 60 Hz with all its tags has about 4 GB
+LARGEST_FRAME = 2**24  #: Largest frame, bytes; MVN's have some 20 thousand
 _SENSOR_TAGS: Final = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
 _SEGMENT_TAGS: Final = {"orientation": 4, "position": 3}
-_WIDTHS: Final = _SENSOR_TAGS | _SEGMENT_TAGS
-"""Numbers per sensor, or per segment, in the tags that are read."""
+_WIDTHS: Final = _SENSOR_TAGS | _SEGMENT_TAGS  #: Numbers per sensor, or per segment, in the tags that are read
 _RAW: Final = frozenset({"sensorAcceleration", "sensorAngularVelocity"})
-_MOST: Final = 1000
-"""Largest number of sensors, segments or poses."""
+_MOST: Final = 1000  #: Largest number of sensors, segments or poses
 
 
 @dataclass(frozen=True)
 class MvnxPose:
     """A calibration pose of MVN's avatar."""
 
-    quat_wxyz: Array | None
-    """(G, 4) from each segment to MVN's world."""
-    p_world: Array | None
-    """(G, 3) each segment's origin, m."""
+    quat_wxyz: Array | None  #: (G, 4) from each segment to MVN's world
+    p_world: Array | None  #: (G, 3) each segment's origin, m
 
 
 @dataclass(frozen=True)
 class Mvnx:
     """Content of an MVNX file in MVN's own frames; arrays are None where absent."""
 
-    sensors: tuple[str, ...]
-    """S names."""
-    segments: tuple[str, ...]
-    """G names."""
+    sensors: tuple[str, ...]  #: S names
+    segments: tuple[str, ...]  #: G names
     rate_hz: float
-    index: NDArray[np.int64]
-    """(T,) numbers of the frames; missing ones were not exported."""
-    poses: Mapping[str, MvnxPose]
-    """Calibration poses by their type, e.g. 'tpose'."""
-    quat_world_sensor: Array | None
-    """(T, S, 4), w x y z."""
-    a_world: Array | None
-    """(T, S, 3) free acceleration, m/s^2, in MVN's world."""
-    m_sensor: Array | None
-    """(T, S, 3) in sensor axes."""
-    quat_world_segment: Array | None
-    """(T, G, 4), w x y z."""
-    p_world_segment: Array | None
-    """(T, G, 3) m."""
-    unread: tuple[str, ...] = ()
-    """Tags of raw sensor data, of old versions, that are ignored."""
-    start_utc: datetime | None = None
-    """Date and time of frame 0 (recDateMSecsSinceEpoch), with its zone UTC."""
+    index: NDArray[np.int64]  #: (T,) numbers of the frames; missing ones were not exported
+    poses: Mapping[str, MvnxPose]  #: Calibration poses by their type, e.g. 'tpose'.
+    quat_world_sensor: Array | None  #: (T, S, 4), w x y z
+    a_world: Array | None  #: (T, S, 3) free acceleration, m/s^2, in MVN's world
+    m_sensor: Array | None  #: (T, S, 3) in sensor axes
+    quat_world_segment: Array | None  #: (T, G, 4), w x y z
+    p_world_segment: Array | None  #: (T, G, 3) m
+    unread: tuple[str, ...] = ()  #: Tags of raw sensor data, of old versions, that are ignored
+    start_utc: datetime | None = None  #: Date and time of frame 0 (recDateMSecsSinceEpoch), with its zone UTC
 
 
 def is_mvnx(head: str) -> bool:

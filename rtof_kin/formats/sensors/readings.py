@@ -27,20 +27,16 @@ WRAP_16: Final = 2**16
 WRAP_32: Final = 2**32
 _LONGEST_ACROSS_WRAP: Final = 16
 """A counter that falls is taken to have wrapped where at most this fraction of its range was lost."""
-_MOST_AGAIN: Final = 0.25
-"""Largest plausible share of packets sent twice."""
+_MOST_AGAIN: Final = 0.25  #: Largest plausible share of packets sent twice
 
 
 @dataclass(frozen=True)
 class Packets:
     """The packets of one sensor, in order."""
 
-    rows: Count
-    """(T,) rows of the file to take."""
-    count: Count
-    """(T,) their unwrapped counter, strictly increasing."""
-    notes: tuple[str, ...] = ()
-    """Corrections, in sentences without a subject."""
+    rows: Count  #: (T,) rows of the file to take
+    count: Count  #: (T,) their unwrapped counter, strictly increasing
+    notes: tuple[str, ...] = ()  #: Corrections, in sentences without a subject
 
 
 def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
@@ -111,8 +107,7 @@ def aligned(first: Sequence[int], wrap: int) -> list[int]:
     return [wrap * round((first[0] - one) / wrap) for one in first]
 
 
-_NO_ROTATION: Final = 0.02
-"""Largest difference of M M^T from the identity; files with few digits reach 0.001."""
+_NO_ROTATION: Final = 0.02  #: Largest difference of M M^T from the identity; files with few digits reach 0.001
 
 
 @dataclass(frozen=True)
@@ -120,20 +115,13 @@ class Readings:
     """One sensor's numbers in the units and axes of its file; None where absent."""
 
     name: str
-    times: Array
-    """(T,) s on the file's clock."""
-    acceleration: Array | None = None
-    """(T, 3)"""
-    gyroscope: Array | None = None
-    """(T, 3)"""
-    magnetometer: Array | None = None
-    """(T, 3)"""
-    quaternions: Array | None = None
-    """(T, 4)"""
-    matrices: Array | None = None
-    """(T, 3, 3) instead of quaternions; zero or NaN where missing."""
-    notes: tuple[str, ...] = ()
-    """Remarks of the reader, in sentences."""
+    times: Array  #: (T,) s on the file's clock
+    acceleration: Array | None = None  #: (T, 3)
+    gyroscope: Array | None = None  #: (T, 3)
+    magnetometer: Array | None = None  #: (T, 3)
+    quaternions: Array | None = None  #: (T, 4)
+    matrices: Array | None = None  #: (T, 3, 3) instead of quaternions; zero or NaN where missing
+    notes: tuple[str, ...] = ()  #: Remarks of the reader, in sentences
 
     def stream(self, declaration: Declaration) -> SensorStream:
         """Convert to SI units and this package's frames.

@@ -48,8 +48,7 @@ _TITLES: Final = frozenset(
     }
 )
 _Row = tuple[int | None, tuple[str, str]]  # a line's number; a sensor and its place
-_SHORTEST_END: Final = 3
-"""Fewest characters of a serial number that name a sensor."""
+_SHORTEST_END: Final = 3  #: Fewest characters of a serial number that name a sensor
 
 
 def read_sensor_map(path: str | Path) -> dict[str, str]:

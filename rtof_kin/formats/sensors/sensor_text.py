@@ -23,8 +23,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER
 
-LARGEST_BYTES: Final = 2**30
-"""Largest file that is read, bytes; a day of one sensor at 100 Hz."""
+LARGEST_BYTES: Final = 2**30  #: Largest file that is read, bytes; a day of one sensor at 100 Hz
 LONGEST_LINE: Final = 2**16
 MOST_HEADER_LINES: Final = 100
 
@@ -34,16 +33,11 @@ class SensorTable:
     """Named columns of numbers, and the lines above them."""
 
     path: Path
-    header: tuple[str, ...]
-    """Lines above the column names."""
-    names: tuple[str, ...]
-    """C column names."""
-    values: Array
-    """(T, C); NaN where a cell is empty."""
-    lines: Sequence[int]
-    """(T,) line of each row in the file, from 1."""
-    notes: tuple[str, ...]
-    """Omissions, in sentences."""
+    header: tuple[str, ...]  #: Lines above the column names
+    names: tuple[str, ...]  #: C column names
+    values: Array  #: (T, C); NaN where a cell is empty
+    lines: Sequence[int]  #: (T,) line of each row in the file, from 1
+    notes: tuple[str, ...]  #: Omissions, in sentences
 
     def columns(self, *names: str) -> Array | None:
         """Return the named columns (T, len(names)), in any case of letters; None where one is absent."""
@@ -184,8 +178,7 @@ _UTC_COLUMNS: Final = tuple(
 )
 UTC_COLUMNS: Final = frozenset(name.lower() for name in _UTC_COLUMNS)
 """Columns of MT Manager with the time of each packet, in small letters."""
-_VALID: Final = 4
-"""Bit of UTC_Valid that says that date and time are known."""
+_VALID: Final = 4  #: Bit of UTC_Valid that says that date and time are known
 
 
 def utc_of_milliseconds(since_epoch: str) -> datetime | None:

@@ -16,8 +16,7 @@ from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 
-PARTS: Final = 8
-"""Equal parts of a recording, over which the scatter of a loss is estimated."""
+PARTS: Final = 8  #: Equal parts of a recording, over which the scatter of a loss is estimated
 _ARRAYS: Final = ("difference", "seen", "error", "half_band", "part_losses")
 
 
@@ -28,12 +27,9 @@ class SensorSet:
     sensors: tuple[str, ...]
     difference: Array
     """(A,) rad, RMS difference from the full set over frames in which both observe the angle; NaN without."""
-    seen: Array
-    """(A,) share of the frames observed by the full set that are observed here; NaN if there are none."""
-    error: Array
-    """(A,) rad, RMS error against the reference; NaN without one."""
-    half_band: Array
-    """(A,) rad, half the median 95 % band; NaN if the motion has no confidence."""
+    seen: Array  #: (A,) share of the frames observed by the full set that are observed here; NaN if there are none
+    error: Array  #: (A,) rad, RMS error against the reference; NaN without one
+    half_band: Array  #: (A,) rad, half the median 95 % band; NaN if the motion has no confidence
     loss: float
     """[rad] mean over angles of the RMS against the reference, else the full set. In unobserved frames the
     standard deviation of the angle counts, which is the error of its mean."""
@@ -138,11 +134,9 @@ _MARGIN: Final = 1.0  # [s] of samples of the sensors on both sides of the video
 class Part:
     """An interval of a recording."""
 
-    start: float
-    """s, on the recording's clock."""
+    start: float  #: s, on the recording's clock
     stop: float
-    whole: float
-    """s, length of the recording."""
+    whole: float  #: s, length of the recording
 
     @property
     def seconds(self) -> float:

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 TABLE: Final = "study.csv"
-LEAST_CHANGE: Final = np.radians(1.0)
-"""[rad] by which the RMS of an angle grows where a sensor is called needed."""
+LEAST_CHANGE: Final = np.radians(1.0)  #: [rad] by which the RMS of an angle grows where a sensor is called needed
 NO_ERROR: Final = (
     "A difference from the full set is not an error: an error that both motions share does not appear in it, "
     "and where they differ, either may be wrong."

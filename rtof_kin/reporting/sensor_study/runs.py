@@ -30,8 +30,7 @@ from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import Grade, Headline, SectionVerdict, headline
 from rtof_kin.reporting.sensor_study.accuracy import SensorSet, measure_set, true_angles
 
-Progress = Callable[[int, int, str], None]
-"""Called with (runs done, runs in all, what is running)."""
+Progress = Callable[[int, int, str], None]  #: Called with (runs done, runs in all, what is running)
 _START: Final = 8.0  # [s] that new processes need to import and to build the solver
 _ANGLES: Final = ("values", "provenance", "singular")  # arrays of angles that comparing needs
 _OF_THE_IMAGE: Final = ("sides", "person")  # outlier rejection that does not depend on the sensors
@@ -41,16 +40,12 @@ _OF_THE_IMAGE: Final = ("sides", "person")  # outlier rejection that does not de
 class Run:
     """One reconstruction, the argument of `measure` and `measure_full`."""
 
-    recording: Recording
-    """With all sensors."""
-    sensors: tuple[str, ...]
-    """Those that are used."""
+    recording: Recording  #: With all sensors
+    sensors: tuple[str, ...]  #: Those that are used
     lifter: LifterLike | None
     settings: ReconstructionSettings
-    full: ClinicalAngles | None = None
-    """Angles with all sensors; None where they are measured now."""
-    truth: ClinicalAngles | None = None
-    """Those of the reference, if there is one."""
+    full: ClinicalAngles | None = None  #: Angles with all sensors; None where they are measured now
+    truth: ClinicalAngles | None = None  #: Those of the reference, if there is one
 
     def reconstructed(self) -> Reconstruction:
         """Reconstruct with these sensors only."""
@@ -68,13 +63,10 @@ class FullSet:
     """What the reconstruction with all sensors gave."""
 
     accuracy: SensorSet
-    angles: ClinicalAngles
-    """Those that are observed."""
+    angles: ClinicalAngles  #: Those that are observed
     truth: ClinicalAngles | None
-    verdict: Headline
-    """Headline of the audit."""
-    choices: dict[str, Any]
-    """How it was made, see `Choices.plain`."""
+    verdict: Headline  #: Headline of the audit
+    choices: dict[str, Any]  #: How it was made, see `Choices.plain`
 
 
 def measure_full(run: Run) -> JobResult:

@@ -45,27 +45,18 @@ class SensorStudy:
     """Importance of each sensor of a recording."""
 
     recording: str
-    part: Part
-    """What was studied of it."""
-    segments: dict[str, str]
-    """Sensor -> segment that carries it."""
-    places: dict[str, str]
-    """The same in words, e.g. 'left shank'."""
-    angles: tuple[str, ...]
-    """A names of the angles that the full set observes."""
-    moved: Array
-    """(A,) rad, standard deviation of each angle over time, of the reference or the full set."""
+    part: Part  #: What was studied of it
+    segments: dict[str, str]  #: Sensor -> segment that carries it
+    places: dict[str, str]  #: The same in words, e.g. 'left shank'.
+    angles: tuple[str, ...]  #: A names of the angles that the full set observes
+    moved: Array  #: (A,) rad, standard deviation of each angle over time, of the reference or the full set
     full: SensorSet
     steps: tuple[tuple[SensorSet, ...], ...]
     """Sets that were tried at each removal; the first ones omit each sensor alone."""
-    has_truth: bool
-    """Whether the recording has a reference, so that there are errors."""
-    camera: bool
-    """Whether there are keypoints."""
-    verdict: Headline
-    """On the reconstruction with the full set."""
-    choices: dict[str, Any]
-    """How it was made, as JSON values."""
+    has_truth: bool  #: Whether the recording has a reference, so that there are errors
+    camera: bool  #: Whether there are keypoints
+    verdict: Headline  #: On the reconstruction with the full set
+    choices: dict[str, Any]  #: How it was made, as JSON values
 
     @property
     def without(self) -> tuple[SensorSet, ...]:

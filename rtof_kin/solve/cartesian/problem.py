@@ -26,14 +26,11 @@ from rtof_kin.solve import terms as energies
 from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.terms import PointTerm
 
-Bones = tuple[tuple[int, int], ...]
-"""(joint, child) of each bone."""
-Points = tuple[tuple[tuple[int, ...], PointTerm], ...]
-"""Further residuals, each with its joints."""
+Bones = tuple[tuple[int, int], ...]  #: (joint, child) of each bone
+Points = tuple[tuple[tuple[int, ...], PointTerm], ...]  #: Further residuals, each with its joints
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
 """Built-in terms; further ones are behind them."""
-LINEAR: Final = ("acceleration", "bone", "smooth", "prior")
-"""Terms whose residuals are linear in the positions."""
+LINEAR: Final = ("acceleration", "bone", "smooth", "prior")  #: Terms whose residuals are linear in the positions
 CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
 """Parameters that the Hessian of the terms with linear residuals depends on."""
 
@@ -42,14 +39,10 @@ CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth",
 class _Term:
     """Whitened residuals of one term with the weight of each in the mean."""
 
-    residual: Any
-    """(n,) SX."""
-    weight: Any
-    """(n,) SX, 0 without observation."""
-    robust: float | None = None
-    """Pseudo-Huber threshold of residuals taken in groups."""
-    group: int = 2
-    """Residuals of a group."""
+    residual: Any  #: (n,) SX
+    weight: Any  #: (n,) SX, 0 without observation
+    robust: float | None = None  #: Pseudo-Huber threshold of residuals taken in groups
+    group: int = 2  #: Residuals of a group
     exact: bool = False
     """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to the image
     plane, whose depth has no first-order effect."""

@@ -30,8 +30,7 @@ from rtof_kin.solve.terms import PointData, PointTerm, check_observed, observed_
 
 _DECREASE: Final = 1e-4
 """Tolerance of the real-time solver on the relative decrease, per tolerance of IPOPT on the gradient."""
-_NORMAL_MEDIAN: Final = 1.177
-"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
+_NORMAL_MEDIAN: Final = 1.177  #: Median norm of a normal error in two dimensions, in standard deviations of an axis
 
 
 class CartesianSolver:

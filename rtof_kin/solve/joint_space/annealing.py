@@ -22,14 +22,10 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.settings import JointSpaceSettings
 
-_NORMAL_MEDIAN: Final = 1.177
-"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
-_FEWEST: Final = 20
-"""Observed landmarks of a fragment that an estimate needs."""
-_LEAST: Final = 1e-6
-"""[px] Lower bound of the residuals' size."""
-_SETTLED: Final = 0.05
-"""Relative change below which an estimate is kept."""
+_NORMAL_MEDIAN: Final = 1.177  #: Median norm of a normal error in two dimensions, in standard deviations of an axis
+_FEWEST: Final = 20  #: Observed landmarks of a fragment that an estimate needs
+_LEAST: Final = 1e-6  #: [px] Lower bound of the residuals' size
+_SETTLED: Final = 0.05  #: Relative change below which an estimate is kept
 
 
 class Annealing:
@@ -157,10 +153,8 @@ class CameraErrors:
         return size, float(min(np.sqrt((1 + r) / (1 - r)), self._largest))
 
 
-_ROBUST: Final = 2.0
-"""[sigma] Residual where the loss turns from square to linear."""
-_LEAST_CORRELATION: Final = 0.05
-"""Autocorrelation at which its sum ends."""
+_ROBUST: Final = 2.0  #: [sigma] Residual where the loss turns from square to linear
+_LEAST_CORRELATION: Final = 0.05  #: Autocorrelation at which its sum ends
 
 
 def estimated_places(residuals: Array, slopes: Array, weights: Array, covariance: Array) -> Array:

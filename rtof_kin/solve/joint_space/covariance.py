@@ -39,10 +39,8 @@ from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.joint_space.stencils import LAGS
 
-_DAMPING: Final = 1e-6
-"""Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km."""
-_NOWHERE: Final = 3.0
-"""[m] Standard deviation above which a position counts as unknown."""
+_DAMPING: Final = 1e-6  #: Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km
+_NOWHERE: Final = 3.0  #: [m] Standard deviation above which a position counts as unknown
 
 
 def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solved: Solved) -> Array:
@@ -114,10 +112,8 @@ def _covariance(J: Array, covariance: Array) -> Array:
     return np.asarray((out + np.swapaxes(out, -1, -2)) / 2)
 
 
-SPREAD: Final = 1.0
-"""[1] Factor on the standard deviations of the solver's prior."""
-TIME: Final = 0.5
-"""[s] In which the angles of an unseen joint forget the observed ones."""
+SPREAD: Final = 1.0  #: [1] Factor on the standard deviations of the solver's prior
+TIME: Final = 0.5  #: [s] In which the angles of an unseen joint forget the observed ones
 
 
 def unseen_times(data: Observations) -> Array:

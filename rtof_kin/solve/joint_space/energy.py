@@ -23,8 +23,7 @@ from rtof_kin.solve import terms as residuals
 from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.terms import DIFFERENCES, Loss, Term
 
-_Residual = Callable[[Any], Any]
-"""Residual as a function of a point, or of a small rotation vector."""
+_Residual = Callable[[Any], Any]  #: Residual as a function of a point, or of a small rotation vector
 
 
 class Path(NamedTuple):
@@ -32,12 +31,9 @@ class Path(NamedTuple):
 
     term: str
     joint: int
-    point: Any
-    """(3, 1) position in world, m."""
-    derivative: int
-    """1 velocity, 2 acceleration."""
-    robust: float
-    """[sigma] Threshold of the pseudo-Huber loss."""
+    point: Any  #: (3, 1) position in world, m
+    derivative: int  #: 1 velocity, 2 acceleration
+    robust: float  #: [sigma] Threshold of the pseudo-Huber loss
 
     @property
     def coefficients(self) -> tuple[float, ...]:

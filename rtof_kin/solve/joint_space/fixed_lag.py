@@ -35,20 +35,16 @@ from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.joint_space.stencils import LAGS
 
-MEMORY = LAGS - 1
-"""Frames that a marginalised frame leaves a prior on."""
+MEMORY = LAGS - 1  #: Frames that a marginalised frame leaves a prior on
 
 
 @dataclass(frozen=True)
 class MarginalPrior:
     """Energy of the first three frames of a window."""
 
-    x: Array
-    """(3, 3 + 4A) linearisation points."""
-    precision: Array
-    """(3D, 3D) Lambda."""
-    slope: Array
-    """(3D,) eta."""
+    x: Array  #: (3, 3 + 4A) linearisation points
+    precision: Array  #: (3D, 3D) Lambda
+    slope: Array  #: (3D,) eta
 
     @classmethod
     def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
@@ -153,14 +149,11 @@ class WindowEnergy:
 _DAMPING: Final = 1e-6
 """Added to the Hessian's diagonal for covariances and where a frame is eliminated: an unobserved root gets a
 sigma of 1 km."""
-_EVERY: Final = 6
-"""Frames between estimates of the landmarks' errors."""
-_MEMORY_S: Final = 1.0
-"""[s] over which those estimates are averaged."""
+_EVERY: Final = 6  #: Frames between estimates of the landmarks' errors
+_MEMORY_S: Final = 1.0  #: [s] over which those estimates are averaged
 
 
-_EARLY_S: Final = 0.2
-"""[s] Age of a frame up to which its accelerations have a smaller weight."""
+_EARLY_S: Final = 0.2  #: [s] Age of a frame up to which its accelerations have a smaller weight
 _EARLY_SHARE: Final = 0.01
 """That weight, relative to the usual one. Errors of accelerations are autocorrelated; at full weight they
 bend the free end of a motion: at lag 0 the root-relative error of motions of validation is then 26 to 32 %

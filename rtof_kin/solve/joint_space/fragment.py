@@ -36,27 +36,21 @@ from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.joint_space.stencils import LAGS, HessianColumns
 from rtof_kin.solve.terms import Term
 
-BEYOND: Final = 2
-"""Rows below the third block's diagonal that the axes of a joint reach."""
+BEYOND: Final = 2  #: Rows below the third block's diagonal that the axes of a joint reach
 
 
 @dataclass(frozen=True)
 class FragmentData:
     """Observations of a fragment of N frames; weights are 0 where there are none."""
 
-    observation: dict[str, Array]
-    """Name -> (N, ...), with the names of `FrameEnergy.observation`."""
-    constant: dict[str, Array]
-    """Name -> value, with the names of `FrameEnergy.constant`."""
+    observation: dict[str, Array]  #: Name -> (N, ...), with the names of `FrameEnergy.observation`
+    constant: dict[str, Array]  #: Name -> value, with the names of `FrameEnergy.constant`
     a_world: Array
     """(N - 2, P, 3) measured derivatives of the paths' points: accelerations of the sensors, m/s^2, first."""
-    w_acceleration: Array
-    """(N - 2, P) 1 / sigma^2 of each; of accelerations s^4/m^2."""
-    w_jerk: Array
-    """(N - 3,) weight of the jerk of four frames in a row."""
+    w_acceleration: Array  #: (N - 2, P) 1 / sigma^2 of each; of accelerations s^4/m^2
+    w_jerk: Array  #: (N - 3,) weight of the jerk of four frames in a row
     rate_hz: float
-    length_scale: float = 1.0
-    """[1] Factor on the body's size: the jerk of the root is measured in body lengths."""
+    length_scale: float = 1.0  #: [1] Factor on the body's size: the jerk of the root is measured in body lengths
 
 
 @dataclass(frozen=True)
@@ -66,8 +60,7 @@ class FragmentFunctions:
     frames: Mapping[str, FrameFunction]
     linear: HessianColumns
     coupled: HessianColumns
-    code: Mapping[str, Any]
-    """Name of the function -> code; empty where they are interpreted."""
+    code: Mapping[str, Any]  #: Name of the function -> code; empty where they are interpreted
 
     @classmethod
     def of(cls, energy: FrameEnergy, compile: Compile = "auto") -> FragmentFunctions:

@@ -21,12 +21,9 @@ from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.state import Limits
 from rtof_kin.solve.joint_space.stencils import LAGS
 
-_UNIT: Final = 1e-3
-"""m and rad of IPOPT's variables."""
-_GRADIENT: Final = 100.0
-"""Largest remaining derivative of the energy by a variable, in tolerances."""
-_METIS: Final = 5
-"""MUMPS' number of the ordering with the least fill-in for this band."""
+_UNIT: Final = 1e-3  #: m and rad of IPOPT's variables
+_GRADIENT: Final = 100.0  #: Largest remaining derivative of the energy by a variable, in tolerances
+_METIS: Final = 5  #: MUMPS' number of the ordering with the least fill-in for this band
 
 
 class Ipopt:

@@ -32,8 +32,7 @@ class Attached:
     """Segments (indices) of landmarks, sensors and ankles."""
 
     landmarks: tuple[int, ...]
-    free: Array
-    """(L, 1) 1 for a landmark with its own place in the segment, 0 for the segment's joint."""
+    free: Array  #: (L, 1) 1 for a landmark with its own place in the segment, 0 for the segment's joint
     sensors: tuple[int, ...]
     feet: tuple[int, ...]
 

@@ -38,8 +38,7 @@ from rtof_kin.vision.image_points import measurements
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
 outliers change it by less."""
-_PENDING: Final = 4
-"""Fragments that may still be solved again from a later neighbour."""
+_PENDING: Final = 4  #: Fragments that may still be solved again from a later neighbour
 
 
 class JointSpaceSolver:
@@ -142,11 +141,9 @@ class JointSpaceSolver:
 class _Piece:
     """A solved fragment."""
 
-    x: Array
-    """(N, 3 + 4A) states."""
+    x: Array  #: (N, 3 + 4A) states
     report: FragmentReport
-    covariance: Array | None
-    """(N, D, D) of their tangents, where asked for; NaN where unobserved."""
+    covariance: Array | None  #: (N, D, D) of their tangents, where asked for; NaN where unobserved
 
     @property
     def first(self) -> int:

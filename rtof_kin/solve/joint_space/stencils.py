@@ -27,16 +27,14 @@ from rtof_kin.solve import terms as residuals
 from rtof_kin.solve.joint_space.energy import FrameEnergy
 from rtof_kin.solve.joint_space.state import StateSpace
 
-LAGS: Final = 4
-"""Frames from 0 to 3 apart are coupled."""
+LAGS: Final = 4  #: Frames from 0 to 3 apart are coupled
 
 
 @dataclass(frozen=True)
 class HessianColumns:
     """A function whose last output are entries of the Hessian."""
 
-    frame: FrameFunction
-    """Its last output is in groups of `GROUP` entries, one below the other in a column."""
+    frame: FrameFunction  #: Its last output is in groups of `GROUP` entries, one below the other in a column
     groups: Index
     """(groups, 2) first row, counted from the frame's first, and column. Rows above the diagonal are
     zero, whatever the matrix has there."""

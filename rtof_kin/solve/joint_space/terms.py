@@ -31,16 +31,13 @@ from rtof_kin.vision.image_points import ImagePoints
 if TYPE_CHECKING:
     from rtof_kin.solve.joint_space.observations import Observations
 
-TORSO: Final = ("Hips", "Spine3")
-"""Segments whose orientation may be anchored to the initial guess."""
+TORSO: Final = ("Hips", "Spine3")  #: Segments whose orientation may be anchored to the initial guess
 BUILT_IN: Final = ("visual", "orientation", "torso", "bone", "root", "floor", "prior", "acceleration", "smooth")
 """Names of the built-in terms."""
 _ROBUST_CONTACT: Final = 3.0
 """[sigma] Threshold of the pseudo-Huber loss of a contact point: contacts are inferred, not measured."""
-_ROOT_BESIDE_SENSORS: Final = 2.0
-"""Factor on sigma_root where there are both landmarks and sensors."""
-_FIRM: Final = np.radians(1.0)
-"""[rad] Standard deviation of the prior of a fixed joint."""
+_ROOT_BESIDE_SENSORS: Final = 2.0  #: Factor on sigma_root where there are both landmarks and sensors
+_FIRM: Final = np.radians(1.0)  #: [rad] Standard deviation of the prior of a fixed joint
 
 
 def built_in_terms(
@@ -81,8 +78,7 @@ class Visual(Term):
 
     landmarks: tuple[tuple[int, bool], ...]
     """Segment of each landmark, and whether the landmark is the joint where the segment begins."""
-    further: tuple[int, ...] = ()
-    """Number of landmarks of each further camera; they are the last ones."""
+    further: tuple[int, ...] = ()  #: Number of landmarks of each further camera; they are the last ones
     name: str = "visual"
     unit: ClassVar[str] = "px"
 
@@ -136,10 +132,8 @@ class Visual(Term):
 class Orientation(Term):
     """Orientation of segments by their sensors, swing and twist apart."""
 
-    sensors: tuple[int, ...]
-    """Segments that have a place for a sensor."""
-    robust: float
-    """[sigma] Threshold of the pseudo-Huber loss."""
+    sensors: tuple[int, ...]  #: Segments that have a place for a sensor
+    robust: float  #: [sigma] Threshold of the pseudo-Huber loss
     name: str = "orientation"
     unit: ClassVar[str] = "rad"
     constant_errors: ClassVar[tuple[str, ...]] = ("w_sensor",)
@@ -208,8 +202,7 @@ class Torso(Term):
 class Bone(Term):
     """Bone vectors of limbs without a sensor about the initial guess."""
 
-    bones: tuple[tuple[int, int], ...]
-    """Joint and child of each."""
+    bones: tuple[tuple[int, int], ...]  #: Joint and child of each
     name: str = "bone"
     unit: ClassVar[str] = "m"
 
@@ -268,12 +261,9 @@ class Root(Term):
 class Floor(Term):
     """Height of standing ankles over a flat floor, and joints of the feet about their contact points."""
 
-    feet: tuple[int, ...]
-    """Ankles that the floor acts on."""
-    cutoff: float
-    """[m] Scale of the Cauchy loss of heights."""
-    contacts: tuple[int, ...] = ()
-    """Joints that may have contact points."""
+    feet: tuple[int, ...]  #: Ankles that the floor acts on
+    cutoff: float  #: [m] Scale of the Cauchy loss of heights
+    contacts: tuple[int, ...] = ()  #: Joints that may have contact points
     name: str = "floor"
     unit: ClassVar[str] = "m"
 
@@ -322,8 +312,7 @@ class Floor(Term):
 class Prior(Term):
     """Rotations of all joints but the root by the pose prior."""
 
-    joints: int
-    """Moving joints but the root."""
+    joints: int  #: Moving joints but the root
     name: str = "prior"
     unit: ClassVar[str] = "rad"
     constant_errors: ClassVar[tuple[str, ...]] = ("w_prior",)
@@ -361,10 +350,8 @@ class Prior(Term):
 class Acceleration(Term):
     """Acceleration of the sensors; it couples three frames."""
 
-    sensors: tuple[int, ...]
-    """Segments that have a place for a sensor."""
-    robust: float
-    """[sigma] Threshold of the pseudo-Huber loss."""
+    sensors: tuple[int, ...]  #: Segments that have a place for a sensor
+    robust: float  #: [sigma] Threshold of the pseudo-Huber loss
     name: str = "acceleration"
     unit: ClassVar[str] = "m/s^2"
 
@@ -401,10 +388,8 @@ class Smooth:
     Its residual acts on the steps of the whole state, so the evaluators have it (`stencils.motion`).
     """
 
-    jerk: float
-    """[1] Factor on the standard deviation of the jerk."""
-    unsensed: float
-    """[1] The same for limbs without a sensor, and for all joints where there are no sensors."""
+    jerk: float  #: [1] Factor on the standard deviation of the jerk
+    unsensed: float  #: [1] The same for limbs without a sensor, and for all joints where there are no sensors
     name: str = "smooth"
     unit: ClassVar[str] = "m/s^3, rad/s^3"
 
