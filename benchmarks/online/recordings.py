@@ -84,12 +84,12 @@ def jobs(options: Namespace) -> list[Job]:
 
 def batch(job: Job, recording: Recording) -> Motion:
     """Reconstruct a whole recording as given (mode rtof), or take what was kept of it."""
-    path = Path(job.work) / _version() / f"{job.key}_{len(recording.video)}.npz"
+    path = Path(job.work) / _version() / f"{job.key}_{len(recording.video)}.h5"
     if path.is_file():
         return Motion.load(path)
     motion = reconstruct(recording).motion
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.stem}.{os.getpid()}.npz")
+    part = path.with_name(f"{path.stem}.{os.getpid()}.h5")
     write_motion(part, motion, first_frame=recording.first_frame, mode="rtof")
     part.replace(path)
     return motion

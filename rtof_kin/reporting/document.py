@@ -170,7 +170,10 @@ def show_table(table: Table, out: Console) -> None:
     from rich.text import Text
 
     rows = table.text()
-    right = [c > 0 and all(_NUMBER.match(_plain(row[c])) for row in rows) for c in range(len(table.columns))]
+    right = [
+        c > 0 and all(_NUMBER.match(text := _plain(row[c])) and len(text) <= _LEAST for row in rows)
+        for c in range(len(table.columns))
+    ]
     columns = []
     for c, name in enumerate(table.columns):
         longest = max(len(word) for row in [table.columns, *rows] for word in [*_plain(row[c]).split(), ""])

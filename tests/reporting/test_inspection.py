@@ -241,7 +241,7 @@ def test_narrow_terminals_show_all_figures_and_verdicts(
     text = capsys.readouterr().out
     assert "\u2026" not in text
     checks = inspect(MTW).checks
-    assert sum(text.count(f"  {verdict.value} ") for verdict in Verdict) == len(checks)
+    assert sum(text.count(f"\n {verdict.value} ") for verdict in Verdict) == len(checks)
     assert {f"{check.value:.3g}" for check in checks if check.passed} <= set(re.split("[ ,]", text))
 
 

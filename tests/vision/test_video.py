@@ -78,7 +78,7 @@ def test_the_command_writes_keypoints_and_their_recording_toml(
     low, high = uv.min(axis=(0, 1)) - 10, uv.max(axis=(0, 1)) + 10
     people_model(folder / "yolox.onnx", [[*low, *high, 0.9]])
     out = tmp_path / "keypoints.npz"
-    order = ["detect", str(path), "--model-dir", str(folder), "--out", str(out)]
+    order = ["detect", str(path), "--model-dir", str(folder), "-o", str(out)]
     assert main(order) == 0
     said = capsys.readouterr().out
     assert "10 frames of up to 1 people, 10 frames with at least one" in said
