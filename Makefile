@@ -27,11 +27,11 @@ lint-platforms: $(STAMP)
 	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
 
 test: lint
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 	$(BIN)/python tests/check_real_video.py
-	$(MAKE) docs
+	DOCS_EXECUTION=off $(MAKE) docs
 
 # The tests that need no extra, with the lowest versions that pyproject.toml allows.
 LOWEST := .venv-lowest

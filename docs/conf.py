@@ -4,6 +4,7 @@ The source is the whole repository, so that pages link to each other, to README.
 by the same relative links here and on a repository page. Tutorials run while the site is built.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -68,7 +69,7 @@ linkcheck_ignore = [r"https?://(127\.0\.0\.1|localhost|HEAD)"]
 linkcheck_timeout, linkcheck_retries = 20, 2
 linkcheck_anchors = False
 
-nb_execution_mode = "cache"
+nb_execution_mode = os.environ.get("DOCS_EXECUTION", "cache")  # "off": the tutorials stay without results
 nb_execution_cache_path = "docs/_build/notebooks"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
