@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-lowest lint lint-platforms dist sbom bench bench-smoke harness accuracy pictures docs docs-links clean
+.PHONY: demo test coverage test-lowest lint lint-platforms dist sbom bench bench-smoke harness accuracy pictures docs docs-links clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -27,11 +27,15 @@ lint-platforms: $(STAMP)
 	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
 
 test: lint
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 	$(BIN)/python tests/check_real_video.py
 	DOCS_EXECUTION=off $(MAKE) docs
+
+# The tests with the branch coverage of rtof_kin and lifting; a third longer than without.
+coverage: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
 
 # The tests that need no extra, with the lowest versions that pyproject.toml allows.
 LOWEST := .venv-lowest

@@ -113,7 +113,8 @@ def descriptions(settings: type) -> dict[str, str]:
             text = source.splitlines()[field.lineno - 1].partition("  #: ")[2]
             if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
                 text = str(after.value.value)
-            line = " ".join(text.replace("`", "").split()).removesuffix(".")
+            if not (line := " ".join(text.replace("`", "").split()).removesuffix(".")):
+                continue
             found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
     return found
 
