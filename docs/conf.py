@@ -70,6 +70,7 @@ linkcheck_timeout, linkcheck_retries = 20, 2
 linkcheck_anchors = False
 
 nb_execution_mode = os.environ.get("DOCS_EXECUTION", "cache")  # "off": the tutorials stay without results
+suppress_warnings = ["myst-nb.lexer"] if nb_execution_mode == "off" else []  # the language is known by running
 nb_execution_cache_path = "docs/_build/notebooks"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
