@@ -32,7 +32,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -46,7 +45,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
-from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer, multiples, rotation_vectors
+from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 
@@ -280,7 +279,7 @@ class MotionReader(MotionSource):
         return Confidence(self.times[start:stop], self.skeleton.names, pairs=self._pairs, **known)
 
 
-class MotionWriter:
+class MotionWriter(BlockWriter):
     """Writes a motion by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path, skeleton: SkeletonModel, *, mode: str = "", first_frame: int = 0) -> None:
@@ -301,25 +300,6 @@ class MotionWriter:
         self._frames, self._last = 0, -np.inf
         self._pairs: tuple[tuple[str, str], ...] | None = None
         self._nodes = NodeFinder()
-
-    def __enter__(self) -> Self:
-        """Open the file.
-
-        Raises:
-            WritingError: it cannot be written.
-        """
-        self._arrays.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
-        with ExitStack() as closing:
-            closing.push(self._arrays)
-            if error is not None:
-                raise error
-            self._finish()
-        return None
 
     def append(self, motion: Motion) -> None:
         """Append the next frames.

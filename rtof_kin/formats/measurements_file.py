@@ -29,7 +29,6 @@ import json
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -39,7 +38,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
-from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer, multiples, rotation_vectors
+from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
@@ -199,7 +198,7 @@ def _rotations(arrays: Mapping[str, Array], vectors: str, quaternions: str) -> A
     return so3.known_exp(readonly(vectors, arrays[vectors], ("T", "S", 3)))
 
 
-class MeasurementsWriter:
+class MeasurementsWriter(BlockWriter):
     """Writes measurements by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path) -> None:
@@ -211,21 +210,6 @@ class MeasurementsWriter:
         self._rows: frozenset[str] = frozenset()
         self._faults: dict[StreamFault, None] = {}
         self._last = -np.inf
-
-    def __enter__(self) -> Self:
-        """Open the file; `WritingError` where it cannot be written."""
-        self._arrays.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
-        with ExitStack() as closing:
-            closing.push(self._arrays)
-            if error is not None:
-                raise error
-            self._finish()
-        return None
 
     def append(self, measurements: Measurements) -> None:
         """Append the next frames, of the same cameras, sensors and joints and with later times, else

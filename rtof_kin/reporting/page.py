@@ -410,7 +410,8 @@ def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Ta
     for grade, word in _PROBLEMS.items():
         for v, reasons in found:
             if v.grade is grade:
-                why = Markup("{}").format(short := textwrap.shorten(reasons[0], _LONGEST, placeholder=" ..."))
+                short = textwrap.shorten(reasons[0], _LONGEST, placeholder=" ...")
+                why = Markup.escape(short)
                 if more := reasons if short.endswith(" ...") else reasons[1:]:
                     folded = Markup(" <details><summary>{}</summary><ul>{}</ul></details>")
                     title = "in full" if more is reasons else f"{len(more)} more"

@@ -68,6 +68,7 @@ class _Stream(io.FileIO):
     problem: OSError | None = None
 
     def write(self, data: Any) -> int:
+        """Write bytes, unless an error has come before; return their number as if they were written."""
         if self.problem is None:
             try:
                 with memoryview(data).cast("B") as rest:
@@ -180,6 +181,31 @@ class Hdf5Writer:
         for key, text in self._about[max(ends, key=len)].items() if ends else ():
             dataset.attrs[key] = np.bytes_(text.encode())
         return dataset
+
+
+class BlockWriter:
+    """A file that is written by blocks; it appears complete at the end of the context, or not at all."""
+
+    _arrays: Hdf5Writer
+
+    def __enter__(self) -> Self:
+        """Open the file; `WritingError` where it cannot be written."""
+        self._arrays.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None:
+        with ExitStack() as closing:
+            closing.push(self._arrays)
+            if error is not None:
+                raise error
+            self._finish()
+        return None
+
+    def _finish(self) -> None:
+        """Write what is known at the end."""
+        raise NotImplementedError
 
 
 class ArrayFile:

@@ -34,6 +34,7 @@ class _PlainUnpickler(pickle._Unpickler):  # the one written in Python: no index
         self.left = stream.getbuffer().nbytes  # bytes that all arrays may have, so that none is made many times
 
     def find_class(self, module: str, name: str) -> Any:
+        """Return the function of its own that stands for one of NumPy's; any other name is an error."""
         own = {
             "_reconstruct": lambda *_: np.empty(0),
             "_frombuffer": lambda data, kind, shape, order: self._array(shape, kind, order == "F", b"".join([data])),
