@@ -53,6 +53,20 @@ class MixedError:
         return float(np.sqrt(self.known + self.estimated))
 
     @property
+    def sem(self) -> float:
+        """The standard deviation as a standard error of measurement; NaN where nothing states it."""
+        return self.sigma or float("nan")
+
+    @property
+    def mdc95(self) -> float:
+        """Minimal detectable change between two values with this error, of this measure alone; NaN without one."""
+        return (self + self).half_width(LEVEL)
+
+    def __add__(self, other: MixedError) -> MixedError:
+        """Error of a sum or difference; the estimated variances are from one mean square."""
+        return MixedError(self.known + other.known, self.estimated + other.estimated, min(self.dof, other.dof))
+
+    @property
     def effective_dof(self) -> float:
         """Degrees of freedom of the whole variance by Satterthwaite; infinite if nothing is estimated."""
         return self.dof * ((self.known + self.estimated) / self.estimated) ** 2 if self.estimated else np.inf

@@ -16,8 +16,8 @@ import numpy as np
 from markupsafe import Markup
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import LEVEL
-from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
+from rtof_kin.clinical.comparison_change import LEVEL, MixedError
+from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
 from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
@@ -81,7 +81,6 @@ def follow(
         kind=kind or plan.repetitions,
         better=cast("dict[str, Better]", plan.better),
         names=list(measures) or list(plan.measures),
-        shares=plan.shares,
     )
     return document(found, read.notes, all_printed=bool(measures))
 
@@ -274,26 +273,15 @@ def _cautions(found: FollowUp) -> list[str]:
 
 def _definitions(found: FollowUp) -> dict[str, str]:
     """Name of each standard error -> what it contains."""
-    shares = found.measures[0].errors.shares
-    divided = (
-        f"{100 * shares.visit:.0f} % of their variance counts as common to the trials of a visit, "
-        f"{100 * shares.trial:.0f} % as independent from trial to trial, and "
-        f"{100 * shares.all_visits:.0f} % as common to all visits, which cancels"
-    )
-    twice = "Errors that differ from trial to trial are taken out of the bands, by at most what trials show"
-    if not shares.trial:
-        twice = (
-            "Errors that differ from trial to trial are in the bands too, which do not say how large they "
-            "are: it is too large rather than too small"
-        )
     unit = {"trials": "trial", "strides": "stride or repetition", "nothing": "value"}[found.repeated]
     return {
         "SEM, bands": "of a visit's value, by the bands of the reconstruction: errors of detector, sensors, camera, "
-        f"mounting and model, also those that all trials of a visit share; {divided}. Not the variation of the person.",
+        "mounting and model, all taken as common to the trials of a visit. Not the variation of the person.",
         "SEM, repeats": f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of "
         "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
         "all trials of a visit share.",
-        "SEM, both": f"of a visit's value, the mean over its trials: both of these. {twice}.",
+        "SEM, both": "of a visit's value, the mean over its trials: both of these. Errors that differ from trial to trial "
+        "are in the bands too, which do not say how large they are: it is too large rather than too small.",
         "MDC95": "the change between two visits that errors of that SEM alone exceed in 5 % of cases, of this "
         "measure by itself; 'detectable' is the same among all measures and visits.",
     }
@@ -380,7 +368,7 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         "better": one.better,
         "sem_bands": size(bands.sem),
         "sem_repeats": size(trials.sem),
-        "sem_repeats_dof": number(trials.dof),
+        "sem_repeats_dof": number(trials.effective_dof),
         "sem_both": size(both.sem),
         "mdc95_bands": size(bands.mdc95),
         "mdc95_repeats": size(trials.mdc95),
@@ -428,7 +416,7 @@ def _title(one: Followed) -> Markup:
 
 
 def _errors(found: FollowUp) -> Table:
-    def pair(one: Followed, error: Sem, more: str = "") -> tuple[str, str]:
+    def pair(one: Followed, error: MixedError, more: str = "") -> tuple[str, str]:
         sem, mdc = (value_text(one.measure, value) for value in (error.sem, error.mdc95))
         return (f"{sem} {one.measure.unit}{more}", f"{mdc} {one.measure.unit}") if sem else ("", "")
 
@@ -441,7 +429,6 @@ def _errors(found: FollowUp) -> Table:
 
 
 def _facts(found: FollowUp) -> dict[str, Any]:
-    shares = found.measures[0].errors.shares
     return {
         "visits": [
             {
@@ -457,7 +444,6 @@ def _facts(found: FollowUp) -> dict[str, Any]:
         "repeated": found.repeated.value,
         "level": LEVEL,
         "correction": "Holm, over all rows with a p",
-        "band_shares": {"all_visits": shares.all_visits, "visit": shares.visit, "trial": shares.trial},
         "comparable": not found.incomparable,
         "definitions": _definitions(found),
         "measures": [_measure_facts(found, one) for one in found.measures],
@@ -477,7 +463,7 @@ def _measure_facts(found: FollowUp, one: Followed) -> dict[str, Any]:
         "values": [None if own is None else [number(scale * value) for value in own.values] for own in one.visits],
         "band_sd": [None if own is None else number(scale * own.band_sigma) for own in one.visits],
         "errors": {
-            name: {"sem": number(scale * error.sem), "degrees_of_freedom": number(error.dof)}
+            name: {"sem": number(scale * error.sem), "degrees_of_freedom": number(error.effective_dof)}
             | {"mdc95": number(scale * error.mdc95)}
             for name, error in (("bands", errors.bands), ("repeats", errors.trials), ("both", errors.both))
         },
