@@ -29,7 +29,7 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, MixedError, Verdict, adjusted, change_with
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, MixedError, Verdict, adjusted, change
 from rtof_kin.clinical.visits import (
     BETTER,
     BETTERS,
@@ -63,12 +63,18 @@ class MeasurementErrors:
 
     def of_visit(self, one: Measured) -> MixedError:
         """Return the error of the mean of a visit."""
-        return MixedError(one.band_sigma**2, self.trials.estimated / len(one.values), self.trials.dof)
+        return self.of_change(one)
+
+    def of_change(self, *visits: Measured) -> MixedError:
+        """Return the error of the difference of the means of two visits, or of the mean of one; the spread of both is
+        estimated by one mean square.
+        """
+        bands, share = sum(one.band_sigma**2 for one in visits), sum(1 / len(one.values) for one in visits)
+        return MixedError(bands, share * self.trials.estimated, self.trials.dof)
 
     def of_sum(self, a: Measured, b: Measured) -> float:
         """Return the largest standard deviation of the sum of the means of two visits: of shared errors."""
-        spread = self.of_visit(a).estimated + self.of_visit(b).estimated
-        return float(np.sqrt((a.band_sigma + b.band_sigma) ** 2 + spread))
+        return float(np.sqrt(self.of_change(a, b).sigma ** 2 + 2 * a.band_sigma * b.band_sigma))
 
 
 def measurement_errors(visits: Sequence[Measured]) -> MeasurementErrors:
@@ -144,7 +150,7 @@ class Followed:
     @property
     def sigmas(self) -> Array:
         """(V,) standard deviations of the estimates by bands and repeats; NaN where nothing states them."""
-        return np.array([np.nan if one is None else self.errors.of_visit(one).sem for one in self.visits])
+        return np.array([np.nan if one is None else self.errors.of_visit(one).sigma for one in self.visits])
 
     @property
     def half_bands(self) -> Array:
@@ -189,7 +195,7 @@ class Followed:
     def mostly(self, visit: int) -> float:
         """Return the true change that would be shown with a probability of 80 %; NaN if not tested."""
         change = self.changes[visit]
-        if change is None or change.error is None:
+        if change is None:
             return float("nan")
         return shown_mostly(change.error, change.detectable)
 
@@ -275,10 +281,7 @@ def follow_up(
 
 
 def follow_measures(
-    series: Mapping[Measure, Sequence[Measured | None]],
-    baseline: int,
-    repeated: Repeated,
-    better: Mapping[str, Better],
+    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated, better: Mapping[str, Better]
 ) -> tuple[Followed, ...]:
     """Return the errors and changes of measures whose values are known, tested together.
 
@@ -338,11 +341,7 @@ def _of_visit(trials: Sequence[Mapping[Measure, Measured]], measure: Measure, re
 
 
 def _followed(
-    measure: Measure,
-    own: Sequence[Measured | None],
-    baseline: int,
-    repeated: Repeated,
-    better: Mapping[str, Better],
+    measure: Measure, own: Sequence[Measured | None], baseline: int, repeated: Repeated, better: Mapping[str, Better]
 ) -> Followed:
     if measure.unit == "deg" and not measure.name.endswith("_range") and (first := own[baseline]) is not None:
         middle = np.median(first.values)  # values within half a turn of the baseline
@@ -364,6 +363,6 @@ def _followed(
         if number == baseline or one is None or first is None:
             changes.append(None)
             continue
-        found = change_with(measure.name, first.mean, one.mean, errors.of_visit(first) + errors.of_visit(one))
-        changes.append(replace(found, p=float("nan")) if why_not else found)
+        found = change(measure.name, first.mean, one.mean, errors.of_change(first, one), not why_not)
+        changes.append(found)
     return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)

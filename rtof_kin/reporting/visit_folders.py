@@ -36,7 +36,7 @@ from pydantic import Strict
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
 from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.input_table import InputTable, Names
 from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
 from rtof_kin.reporting.audit_results import Grade, headline
@@ -88,6 +88,7 @@ class Plan(InputTable):
     def days(self) -> dict[str, date]:
         """Folder -> day."""
         return {one.folder: one.day for one in self.visit if one.date is not None}
+
 
 @dataclass(frozen=True)
 class FoundVisits:

@@ -205,7 +205,7 @@ def reasoning(one: Followed, visit: int) -> str:
     text += f" with a 95 % interval of {low} to {high} {unit}"
     if outcome is Outcome.NOT_SHOWN:
         needed = f"{value_text(one.measure, change.detectable)} {unit}"
-        alone = value_text(one.measure, change.half_width(LEVEL))
+        alone = value_text(one.measure, change.error.half_width(LEVEL))
         mostly = value_text(one.measure, one.mostly(visit))
         return (
             f"{text}; smallest change that could be shown among all measures: {needed} (of this one alone "
@@ -252,7 +252,7 @@ def _cautions(found: FollowUp) -> list[str]:
             "Times, cadence and stance of gait have no bands: errors that all trials of a visit share are "
             "not included there"
         )
-    if not any(one.errors.bands.sem > 0 for one in found.measures):
+    if not any(one.errors.bands.sigma > 0 for one in found.measures):
         lines.append(
             "The motions have no bands: errors that all trials of a visit share (camera, mounting) are not included"
         )
@@ -280,8 +280,8 @@ def _definitions(found: FollowUp) -> dict[str, str]:
         "SEM, repeats": f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of "
         "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
         "all trials of a visit share.",
-        "SEM, both": "of a visit's value, the mean over its trials: both of these. Errors that differ from trial to trial "
-        "are in the bands too, which do not say how large they are: it is too large rather than too small.",
+        "SEM, both": "of a visit's value, the mean over its trials: both of these. Errors that differ from trial to "
+        "trial are in the bands too, which do not say how large they are: it is too large rather than too small.",
         "MDC95": "the change between two visits that errors of that SEM alone exceed in 5 % of cases, of this "
         "measure by itself; 'detectable' is the same among all measures and visits.",
     }
@@ -319,7 +319,7 @@ def _printed(found: FollowUp, all_of_them: bool) -> list[Table | str]:
                 f"{name_of(measure)} [{measure.unit}]",
                 *(value_text(measure, one.estimates[v]) for v in (found.baseline, visit)),
                 value_text(measure, sizes[0], True),
-                *(value_text(measure, value) for value in (sizes[1], both.sem, both.mdc95)),
+                *(value_text(measure, value) for value in (sizes[1], both.sigma, both.mdc95)),
                 _badge(one, visit),
             )
         )
@@ -366,10 +366,10 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         "p": number(tests[0]),
         "p_holm": number(tests[1]),
         "better": one.better,
-        "sem_bands": size(bands.sem),
-        "sem_repeats": size(trials.sem),
+        "sem_bands": size(bands.sigma),
+        "sem_repeats": size(trials.sigma),
         "sem_repeats_dof": number(trials.effective_dof),
-        "sem_both": size(both.sem),
+        "sem_both": size(both.sigma),
         "mdc95_bands": size(bands.mdc95),
         "mdc95_repeats": size(trials.mdc95),
         "mdc95_both": size(both.mdc95),
@@ -417,13 +417,13 @@ def _title(one: Followed) -> Markup:
 
 def _errors(found: FollowUp) -> Table:
     def pair(one: Followed, error: MixedError, more: str = "") -> tuple[str, str]:
-        sem, mdc = (value_text(one.measure, value) for value in (error.sem, error.mdc95))
+        sem, mdc = (value_text(one.measure, value) for value in (error.sigma, error.mdc95))
         return (f"{sem} {one.measure.unit}{more}", f"{mdc} {one.measure.unit}") if sem else ("", "")
 
     rows = []
     for one in found.measures:
         errors = one.errors
-        dof = f" ({errors.trials.dof:.0f})" if errors.trials.sem > 0 else ""
+        dof = f" ({errors.trials.dof:.0f})" if errors.trials.sigma > 0 else ""
         rows.append((_title(one), *pair(one, errors.bands), *pair(one, errors.trials, dof), *pair(one, errors.both)))
     return Table(_ERRORS, rows, kind="errors")
 
@@ -463,7 +463,7 @@ def _measure_facts(found: FollowUp, one: Followed) -> dict[str, Any]:
         "values": [None if own is None else [number(scale * value) for value in own.values] for own in one.visits],
         "band_sd": [None if own is None else number(scale * own.band_sigma) for own in one.visits],
         "errors": {
-            name: {"sem": number(scale * error.sem), "degrees_of_freedom": number(error.effective_dof)}
+            name: {"sem": number(scale * error.sigma), "degrees_of_freedom": number(error.effective_dof)}
             | {"mdc95": number(scale * error.mdc95)}
             for name, error in (("bands", errors.bands), ("repeats", errors.trials), ("both", errors.both))
         },

@@ -81,7 +81,7 @@ def test_not_shown_states_what_would_have_been() -> None:
     change = found.changes[1]
     assert change is not None
     assert found.outcome(1) is Outcome.NOT_SHOWN
-    assert change.detectable == pytest.approx(change.half_width(0.05))
+    assert change.detectable == pytest.approx(change.error.half_width(0.05))
     assert found.mostly(1) > change.detectable > abs(change.difference)
 
 
@@ -303,8 +303,7 @@ def planted(trials: Sequence[int], change: float, band: float, person: float, sh
 
 
 def error_of_change(a: Measured, b: Measured, *others: Measured) -> MixedError:
-    errors = measurement_errors([a, *others, b])
-    return errors.of_visit(a) + errors.of_visit(b)
+    return measurement_errors([a, *others, b]).of_change(a, b)
 
 
 def p_of(visits: Sequence[Measured]) -> float:
@@ -335,23 +334,23 @@ def test_mean_square_within_is_that_of_an_analysis_of_variance() -> None:
 def test_the_three_standard_errors_and_their_minimal_detectable_changes() -> None:
     visits = [Measured(np.array([39.0, 41.0]), 3.0), Measured(np.array([49.0, 51.0]), 4.0)]
     errors = measurement_errors(visits)
-    assert errors.bands.sem == pytest.approx(np.sqrt(12.5))
-    assert errors.bands.mdc95 == pytest.approx(1.959964 * np.sqrt(2) * errors.bands.sem)
-    assert (errors.trials.sem, errors.trials.dof) == (pytest.approx(np.sqrt(2)), 2)
+    assert errors.bands.sigma == pytest.approx(np.sqrt(12.5))
+    assert errors.bands.mdc95 == pytest.approx(1.959964 * np.sqrt(2) * errors.bands.sigma)
+    assert (errors.trials.sigma, errors.trials.dof) == (pytest.approx(np.sqrt(2)), 2)
     assert errors.trials.mdc95 == pytest.approx(stats.t.isf(0.025, 2) * np.sqrt(2) * np.sqrt(2), rel=1e-5)
-    assert errors.both.sem == pytest.approx(np.sqrt(12.5 + 2 / 2))
+    assert errors.both.sigma == pytest.approx(np.sqrt(12.5 + 2 / 2))
     assert errors.both.mdc95 > errors.bands.mdc95
 
 
 def test_without_repeats_or_bands_nothing_is_stated() -> None:
     one, two = Measured(np.array([40.0]), 0.0), Measured(np.array([45.0]), 0.0)
     errors = measurement_errors([one, two])
-    assert all(np.isnan(own.sem) for own in (errors.bands, errors.trials, errors.both))
+    assert all(np.isnan(own.sigma) for own in (errors.bands, errors.trials, errors.both))
 
 
 def test_trials_do_not_make_errors_smaller_that_they_share() -> None:
     many = [Measured(RNG.normal(40, 1, 500), 3.0) for _ in range(2)]
-    assert measurement_errors(many).both.sem == pytest.approx(3.0, rel=0.01)
+    assert measurement_errors(many).both.sigma == pytest.approx(3.0, rel=0.01)
 
 
 # --- planted errors ------------------------------------------------------------------------------
@@ -389,7 +388,7 @@ def test_the_stated_error_is_never_less_than_the_errors_whatever_their_shares() 
     for shares in (Shares(), SHARED, Shares(0.0, 0.0), Shares(1.0, 0.0)):
         draws = [planted((3, 3), 0.0, 3.0, 1.0, shares) for _ in range(800)]
         spread = np.std([b.mean - a.mean for a, b in draws])
-        stated = np.mean([measurement_errors([a, b]).both.sem for a, b in draws])
+        stated = np.mean([measurement_errors([a, b]).both.sigma for a, b in draws])
         assert stated * np.sqrt(2) >= 0.95 * spread
 
 

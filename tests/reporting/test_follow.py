@@ -197,7 +197,7 @@ def test_files_have_all_numbers(found: FollowUp, tmp_path: Path) -> None:
     speed = next(row for row in rows if row["measure"] == "gait_speed" and row["visit"] == "2026-03-01")
     own = next(one for one in found.measures if one.measure.name == "gait_speed")
     assert float(speed["value"]) == pytest.approx(own.estimates[1], rel=1e-5)
-    assert float(speed["sem_both"]) == pytest.approx(own.errors.both.sem, rel=1e-5)
+    assert float(speed["sem_both"]) == pytest.approx(own.errors.both.sigma, rel=1e-5)
     knee = next(row for row in rows if row["measure"] == "right_knee_flexion_range")
     angle = next(one for one in found.measures if one.measure.name == "right_knee_flexion_range")
     assert float(knee["value"]) == pytest.approx(np.degrees(angle.estimates[0]), rel=1e-5)
