@@ -43,7 +43,14 @@ from rtof_kin.datasets.total_capture_files import (
     find_files,
     only_one,
 )
-from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM, SEGMENT_OF_BONE, WORLD_OF_VICON, read_truth, rotations_of
+from rtof_kin.datasets.total_capture_truth import (
+    RATE_HZ,
+    RIGID_MM,
+    SEGMENT_OF_BONE,
+    WORLD_OF_VICON,
+    read_truth,
+    rotations_of,
+)
 from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_calibration, read_sensors
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.streams import naming
