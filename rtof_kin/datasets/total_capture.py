@@ -259,9 +259,7 @@ class TotalCapture:
         if not names:
             return None, None
         imus = _sequence(path, table, names, frames, notes)
-        R_ref, R_bone = (
-            so3.from_quat_wxyz(np.roll([own[name] for name in names], 1, axis=1)) for own in (ref, bone)
-        )
+        R_ref, R_bone = (so3.from_quat_wxyz(np.roll([own[name] for name in names], 1, axis=1)) for own in (ref, bone))
         return imus, ImuCalibration(
             sensors=tuple(names),
             joints=tuple(known[name][0] for name in names),

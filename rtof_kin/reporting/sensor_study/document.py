@@ -139,7 +139,9 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
         meaning = f"Numbers are RMS differences from the motion with all {n} sensors. {NO_ERROR}"
         half = study.full.half_band[np.isfinite(study.full.half_band)]
         if half.size:
-            meaning += f" With all sensors the 95 % bands of the angles are +-{_deg(float(np.median(half)))} in the median."
+            meaning += (
+                f" With all sensors the 95 % bands of the angles are +-{_deg(float(np.median(half)))} in the median."
+            )
     ranked = sorted(study.without, key=lambda found: found.loss)
     chosen = {"most": ranked[-1]} | ({"least": ranked[0]} if len(ranked) > 1 else {})
     before = f"{_deg(study.full.loss)} to " if study.has_truth else ""
@@ -213,7 +215,7 @@ def _by_need(study: SensorStudy, tolerance: float) -> Iterator[str]:
         yield f"{what}: {'; '.join(texts)}."
     if own := groups.get("still"):
         names = _both_sides([study.angles[a] for a in own])
-        yield f"These hardly move here (standard deviation under {limit}), so that being within it says little: {names}."
+        yield f"These hardly move here (standard deviation under {limit}), so that it says little: {names}."
     if own := groups.get("beyond"):
         names = ", ".join(_named(study, a) for a in own)
         yield (
