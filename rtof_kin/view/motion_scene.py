@@ -245,6 +245,7 @@ class MotionScene:
             "truth": [] if self.truth is None else [self.truth.body.handle],
             "second motion": [] if self.second is None else [self.second.body.handle],
         }
+        out: dict[str, Callable[[bool], None]]
         out = {label: partial(self._show_handles, own) for label, own in handles.items() if own and own[0] is not None}
         if self.cameras:
             out |= {label: partial(self._show_part, part) for label, part in _CAMERA_PARTS.items()}
