@@ -100,9 +100,9 @@ class Job:
         if isinstance(self.settings.fragment, JointSpaceSettings):
             places = self._sensor_places(prepared.skeleton)
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
-        report = (lambda i, n: self.progress(stage, i, n)) if stage else None
+        report, clean = (lambda i, n: self.progress(stage, i, n)) if stage else None, prepared.recording
         return solver.solve(
-            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence, views=prepared.views
+            prepared.guess, clean.video, prepared.bone_imus, report, confidence=confidence, views=clean.views
         )
 
     def solved_again(

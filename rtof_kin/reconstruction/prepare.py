@@ -55,26 +55,17 @@ class Prepared:
         return (*self.outliers, *self.rejected)
 
     @cached_property
-    def keypoints(self) -> KeypointSequence:
-        """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
-        video = self.recording.video
-        return video if self.calibration is None else self.calibration.moved(video, self.start)
-
-    @cached_property
-    def views(self) -> tuple[KeypointSequence, ...]:
-        """The same of further cameras."""
-        views = self.recording.views
-        if self.calibration is None:
-            return views
-        return tuple(self.calibration.moved(view, self.start) for view in views)
-
-    @cached_property
     def guess(self) -> InitialGuess:
         """What the fragment solver and the calibration start from."""
         solver = self.settings.solver(self.skeleton)
         sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
         return initial_guess(
-            self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root, views=self.views
+            self.start,
+            self.recording.video,
+            sensors,
+            self.skeleton,
+            refit_root=solver.refit_root,
+            views=self.recording.views,
         )
 
     def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:
