@@ -224,7 +224,7 @@ def test_further_views_are_cleaned_resampled_lifted_and_fused(case: Case) -> Non
     lifter = case.lifter()
     two = case.changed(views=(late,)).prepare("rto", lifter)
     assert len(lifter.asked) == 2
-    (view,) = two.views
+    (view,) = two.recording.views
     np.testing.assert_array_equal(view.times, two.keypoints.times)
     assert view.seen[1:-1].all()
     # Both lifts are alike, so their mean is each of them.
