@@ -219,7 +219,7 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
             else:
                 R[:, j] = R[:, j] @ so3.about_axis(axis, np.deg2rad(values[:, column]))
             column += 1
-    still = ~p.any(axis=(0, 2))
+    still = np.asarray(~p.any(axis=(0, 2)))
     still[0] = False  # the root stands where the file says
     p[:, still] = offsets[still]
     return ArticulatedMotion(

@@ -42,6 +42,30 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
     which MVN does not write and which could fill the memory, are refused.
     """
     declaration = Declaration(gravity="removed", acceleration_axes="inertial").changed(**declared)
+    content = _read(path)
+    rate = declaration.rate_hz or content.rate_hz
+    times = np.array(content.index) / rate
+    found = {
+        tag: np.array(content.numbers[tag]).reshape(len(times), -1, width)
+        for tag, width in _WIDTHS.items()
+        if content.numbers[tag]
+    }
+    if not found.keys() & set(list(_WIDTHS)[:2]):
+        raise FileFormatError(path, f"no frame has {' or '.join(list(_WIDTHS)[:2])}; export them")
+    sensors = []
+    for s, name in enumerate(content.sensors):
+        quat, a, m = (found[tag][:, s] if tag in found else None for tag in _WIDTHS)
+        sensors.append(Readings(name, times, a, None, m, quat))
+    notes = [*lost(times, rate)]
+    if content.poses:
+        notes.append(f"calibration poses ({', '.join(content.poses)}) are no samples")
+    if content.unread:
+        notes.append(f"not read, as their axes differ between versions: {', '.join(sorted(content.unread))}")
+    start = content.start_utc and content.start_utc + timedelta(seconds=float(times[0]))
+    return sensor_log([path], TITLE, sensors, declaration, notes, start)
+
+
+def _read(path: Path) -> _Content:
     content = _Content(path)
     try:
         if path.stat().st_size > LARGEST_BYTES:
@@ -61,26 +85,7 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     if not content.index or np.isnan(content.rate_hz):
         raise FileFormatError(path, "has no frame of a recording in a <subject>")
-    rate = declaration.rate_hz or content.rate_hz
-    times = np.array(content.index) / rate
-    quat, a, m = (
-        [*np.array(content.numbers[tag]).reshape(len(times), -1, width).swapaxes(0, 1)]
-        if content.numbers[tag]
-        else None
-        for tag, width in _WIDTHS.items()
-    )
-    if quat is None and a is None:
-        raise FileFormatError(path, f"no frame has {' or '.join(list(_WIDTHS)[:2])}; export them")
-    sensors = [
-        Readings(name, times, a and a[s], None, m and m[s], quat and quat[s]) for s, name in enumerate(content.sensors)
-    ]
-    notes = [*lost(times, rate)]
-    if content.poses:
-        notes.append(f"calibration poses ({', '.join(content.poses)}) are no samples")
-    if content.unread:
-        notes.append(f"not read, as their axes differ between versions: {', '.join(sorted(content.unread))}")
-    start = content.start_utc and content.start_utc + timedelta(seconds=float(times[0]))
-    return sensor_log([path], TITLE, sensors, declaration, notes, start)
+    return content
 
 
 def _elements(path: Path) -> Iterator[Element]:
