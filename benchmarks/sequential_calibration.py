@@ -44,8 +44,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.protocols.tables import Cell, Table
-from rtof_kin.reconstruction.job import Job
-from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.prepare import Job, Prepared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors

@@ -33,8 +33,8 @@ from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
-from rtof_kin.reconstruction.job import Job as Reconstructing
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Job as Reconstructing
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip

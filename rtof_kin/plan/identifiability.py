@@ -22,8 +22,8 @@ from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan.prediction import SETTINGS
 from rtof_kin.plan.setup import Setup
-from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import state_covariances
 from rtof_kin.solve.joint_space.observations import Observations
