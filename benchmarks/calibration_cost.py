@@ -40,7 +40,7 @@ STAGES = {
     "calibration: derivatives by the unknowns": ["calibration.shared_fragments:SharedFragments.profile"],
     "calibration: states in each round": ["calibration.shared_fragments:SharedFragments.settle"],
     "calibration: the rest": ["reconstruction.pipeline:_calibrate"],
-    "solve": ["reconstruction.job:Job.solve"],
+    "solve": ["reconstruction.prepare:Job.solve"],
     "bands": ["solve.joint_space.solver:state_covariances", "solve.joint_space.solver:confidence_of"],
     "checks": ["reconstruction.pipeline:_result"],
     "writing": ["report.export:export"],

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import SENSOR_SETS, middle, recorded, test_clips, write_results
-from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.self_calibration import find_offset
 from rtof_kin.recording.recording import Recording
 

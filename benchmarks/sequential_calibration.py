@@ -44,8 +44,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.protocols.tables import Cell, Table
-from rtof_kin.reconstruction.job import Job
-from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.prepare import Job, Prepared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
@@ -179,7 +178,7 @@ class StandIn:
                 FRAMES,
                 solver,
                 prepared.guess,
-                prepared.keypoints,
+                prepared.recording.video,
                 native.resample(self.times),
                 places=native.joints,
             )
@@ -298,13 +297,7 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
                 row["slices"] = len(run.seconds) / max(found.windows, 1)
             yield row
         if (case.case, variant) in BATCH:
-            batch = calibrate(
-                replace(prepared.recording, keypoints=prepared.keypoints),
-                prepared.guess,
-                VARIANTS[variant],
-                stand_in.settings,
-                FRAMES,
-            )
+            batch = calibrate(prepared.recording, prepared.guess, VARIANTS[variant], stand_in.settings, FRAMES)
             yield {**about, "how": "batch", "errors": errors(batch, truths)}
 
 

@@ -25,7 +25,7 @@ from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core.array_types import Array
-from rtof_kin.reconstruction.prepare import prepare
+from rtof_kin.reconstruction.prepare import Job as Reconstructing
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.initial_guess import initial_guess
@@ -35,7 +35,7 @@ from rtof_kin.solve.settings import JointSpaceSettings
 def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:
     """Energies, and distances in standard deviations of the priors, root mean square by kind."""
     settings, priors = ReconstructionSettings(), job.priors
-    prepared = prepare(given, given.skeleton, "sf2", lifter, settings, lambda *_: None)
+    prepared = Reconstructing.of(given, None, lifter, settings).prepare("sf2")
     solver = JointSpaceSettings(floor_height=given.floor_height)
     guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, given.skeleton)
     assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
@@ -44,8 +44,8 @@ def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lift
         shared_fragments([whole], priors, solver, settings.frames) for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
-    found = own.estimate(priors.rounds, overcount=priors.overcount)
-    back = again.estimate(priors.rounds, overcount=priors.overcount, start=truth)
+    found = own.estimate(priors.rounds)
+    back = again.estimate(priors.rounds, start=truth)
     energies = back.energies[0], found.energies[-1], back.energies[-1]
     apart = {"found - truth": found.y - truth, "from truth - found": back.y - found.y}
     return {

@@ -22,8 +22,8 @@ from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan.prediction import SETTINGS
 from rtof_kin.plan.setup import Setup
-from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import state_covariances
 from rtof_kin.solve.joint_space.observations import Observations
@@ -107,7 +107,13 @@ def _covariances(setup: Setup, seed: int, lifter: LifterLike | None) -> Iterator
     prepared, s, N = job.prepare(setup.mode), job.settings.fragment, SETTINGS.frames
     assert isinstance(s, JointSpaceSettings)
     data = Observations(
-        prepared.skeleton, N, s, prepared.guess, prepared.keypoints, prepared.bone_imus, places=SETTINGS.sensor_joints
+        prepared.skeleton,
+        N,
+        s,
+        prepared.guess,
+        prepared.recording.video,
+        prepared.bone_imus,
+        places=SETTINGS.sensor_joints,
     )
     solver, last = LevenbergMarquardt(data.problem, data.limits), max(len(prepared.start) - N, 0)
     for first in sorted({round(last * i / (_FRAGMENTS - 1)) for i in range(_FRAGMENTS)}):

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
@@ -24,20 +23,12 @@ from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, lost, sample
-from rtof_kin.reconstruction.pipeline import calibrate_camera, run
-from rtof_kin.reconstruction.prepare import Progress, even_times
-from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import (
-    ClockOffset,
-    Knowledge,
-    estimated,
-    excerpt,
-    find_offset,
-    with_camera,
-)
+from rtof_kin.reconstruction.pipeline import explaining, run
+from rtof_kin.reconstruction.prepare import Job, Progress, even_times
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.self_calibration import Given, SetupEstimate, estimate_setup, excerpt
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -118,29 +109,33 @@ def reconstruct_in_parts(
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
-    how = Knowledge(calibrate, priors, calibration, known)
+    given = Given(calibrate, priors, calibration, known)
     if seconds is None and not is_long(source):
         job = Job.of(source.whole(), skeleton, lifter, settings, progress)
-        yield run(job, mode, how)
+        with explaining(job):
+            setup = estimate_setup(job, mode, given)
+        yield run(job, mode, setup)
         return
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
     times = _frame_times(source, mode, settings)
     rate_hz = float(1 / np.median(np.diff(times)))
     parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
-    once = _estimated_once(source, job, mode, how)
+    with explaining(job):
+        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode))
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     for number, part in enumerate(parts):
         report("parts", number, len(parts))
         own = times[part.first : part.last]
         try:
             recording = _with_sensors(_between(source, own), job.recording)
-            found = once.run(replace(job, recording=recording, times=own), mode, number == 0)
+            once = replace(setup, warnings=setup.warnings if number == 0 else ())
+            found = run(replace(job, recording=recording, times=own), mode, once)
         except RtofError as error:
             missing.append((times[part.start : part.stop], error))
             continue
         like = like or sample(found)
-        yield from _lost(like, source, job, once, missing)
+        yield from _lost(like, source, job, setup, missing)
         missing, kept = [], seam.continued(found, part.kept, part.first)
         del found
         yield kept
@@ -148,7 +143,7 @@ def reconstruct_in_parts(
         return_free_memory()  # before the next part
     if like is None:
         raise missing[0][1]
-    yield from _lost(like, source, job, once, missing)
+    yield from _lost(like, source, job, setup, missing)
     report("parts", len(parts), len(parts))
 
 
@@ -179,74 +174,36 @@ def _with_sensors(recording: Recording, first: Recording) -> Recording:
     return replace(recording, imus=replace(few, times=times, R_inertial_sensor=R, f_sensor=f))
 
 
-@dataclass(frozen=True)
-class _Once:
-    """What is estimated once for all parts."""
-
-    calibration: SelfCalibration | None
-    camera: CameraEstimate | None
-    choices: Choices
-    warnings: tuple[str, ...]
-    clocks: ClockOffset = field(default_factory=ClockOffset)
-
-    def run(self, job: Job, mode: Mode, first: bool) -> Reconstruction:
-        """Reconstruct a part; the first one has the warnings of the calibration."""
-        found = run(job, mode, Knowledge(calibration=self.calibration, camera=self.camera, clocks=self.clocks))
-        choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
-        warnings = (*self.warnings, *found.warnings) if first else found.warnings
-        return replace(found, choices=choices, warnings=warnings)
-
-    def corrected(self, job: Job) -> Job:
-        """Return the job on a part with these clocks, camera and calibration."""
-        job = self.clocks.corrected(job)
-        if self.camera is not None:
-            job = replace(job, recording=with_camera(job.recording, self.camera.found))
-        return job.calibrated(self.calibration)
-
-
 def _lost(
-    like: Reconstruction, source: RecordingSource, job: Job, once: _Once, missing: Iterable[tuple[Array, RtofError]]
+    like: Reconstruction,
+    source: RecordingSource,
+    job: Job,
+    setup: SetupEstimate,
+    missing: Iterable[tuple[Array, RtofError]],
 ) -> Iterator[Reconstruction]:
     """Parts that could not be reconstructed."""
+
+    def corrected(**of_part: Any) -> Job:
+        return setup.corrected(replace(job, **of_part)).calibrated(setup.calibration)
+
     for times, error in missing:
-        recording, on_clock = like.recording, once.corrected(replace(job, times=times)).times
+        recording, on_clock = like.recording, corrected(times=times).times
         assert on_clock is not None
         with suppress(RtofError):  # nothing was recorded
             part = _with_sensors(_between(source, times), job.recording)
-            recording = once.corrected(replace(job, recording=part)).recording
+            recording = corrected(times=times, recording=part).recording
         yield lost(like, recording, on_clock, str(error))
 
 
-def _estimated_once(source: RecordingSource, job: Job, mode: Mode, how: Knowledge) -> _Once:
-    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given, on excerpts."""
-    if mode == "imu":
-        return _Once(None, None, Choices(), ())
-    camera, warnings = None, tuple[str, ...]()
-    uncertain = job.recording.video.camera.uncertainty is not None
-    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    given, known = how.calibration, how.known
-    calibrate = how.calibrate and sensed and given is None
-    seen = _thinned(source) if uncertain or sensed else None
-    jobs, clocks = list[Job](), ClockOffset()
-    if sensed and seen is not None:
-        slices = (_between(source, times) for times in _lively_slices(seen))
-        jobs = [replace(job, recording=recording) for recording in slices]
-        if given is None or not given.of_kind("delay"):
-            clocks = find_offset(jobs)
-            warnings = clocks.warnings
-    if uncertain and seen is not None:
-        own = clocks.corrected(replace(job, recording=_between(source, excerpt(seen).times)))
-        camera = calibrate_camera(own.recording, lifter=job.lifter, progress=job.progress)
-    choices = Choices("given" if given is not None else "yes" if calibrate else "no", known is not None)
-    known = None if known is None else known.for_another_recording()
-    calibration = known if given is None else given if known is None else known.followed_by(given)
-    if calibrate and jobs and not clocks.foreign:
-        jobs = [clocks.corrected(own) for own in jobs]
-        if camera is not None:
-            jobs = [replace(own, recording=with_camera(own.recording, camera.found)) for own in jobs]
-        calibration, more = estimated(jobs, how.priors, calibration)
-        warnings += more
-    return _Once(calibration, camera, choices, warnings, clocks)
+def _excerpts(source: RecordingSource, job: Job, mode: Mode) -> tuple[list[Job], Job]:
+    """Jobs by which clocks and calibration of a long recording are estimated, and the one for its camera."""
+    sensed, keypoints = job.sensed(mode), job.recording.keypoints
+    if mode == "imu" or keypoints is None or not (sensed or keypoints.camera.uncertainty is not None):
+        return [], job
+    seen = _thinned(source)
+    slices = [_between(source, times) for times in _lively_slices(seen)] if sensed else []
+    filmed = _between(source, excerpt(seen).times) if keypoints.camera.uncertainty is not None else job.recording
+    return [replace(job, recording=recording) for recording in slices], replace(job, recording=filmed)
 
 
 def _thinned(source: RecordingSource) -> KeypointSequence:

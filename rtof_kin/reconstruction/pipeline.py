@@ -6,7 +6,6 @@ import logging
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 
 from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -14,26 +13,19 @@ from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.checks import Check
-from rtof_kin.core.choices import Calibrate, Mode
-from rtof_kin.core.errors import InvalidInputError, RtofError, ViewError
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction import checks
 from rtof_kin.reconstruction.checks.position import PositionErrors
-from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
+from rtof_kin.reconstruction.prepare import Job, Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import (
-    ClockOffset,
-    Knowledge,
-    estimated,
-    find_camera,
-    find_offset,
-    with_camera,
-)
+from rtof_kin.reconstruction.self_calibration import SetupEstimate, find_camera, with_camera
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -94,8 +86,8 @@ def reconstruct(
         priors: of that calibration. Default: `CalibrationPriors.of` the recording.
         calibration: an earlier result of `calibrate_recording` for this recording; it is applied and
             nothing is estimated.
-        known: the calibration of another recording of the same person; what holds for the person and the
-            detector (`SelfCalibration.for_another_recording`) is applied and no longer estimated.
+        known: the calibration of another recording of the same person; what holds for the person
+            (`SelfCalibration.for_another_recording`) is applied and no longer estimated.
         progress: called with (stage, steps done, steps in all).
 
     Raises:
@@ -120,10 +112,11 @@ def reconstruct(
     return joined(tuple(parts))
 
 
-def run(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:
-    """Run a job; see `reconstruct` for errors, which are raised with the likely cause that a check finds."""
+@contextmanager
+def explaining(job: Job) -> Iterator[None]:
+    """Raise errors of a job with the likely cause that a check of its recording finds."""
     try:
-        return _from_sensors(job) if mode == "imu" else _from_video(job, mode, knowledge)
+        yield
     except RtofError as error:
         explained = checks.explained(error, job.recording, job.subject, job.lifter)
         if explained is None:
@@ -131,63 +124,28 @@ def run(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:
         raise explained from error
 
 
-def _from_video(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:
+def run(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
+    """Solve the motion of a recording that was set up; see `reconstruct` for errors."""
+    with explaining(job):
+        return _from_sensors(job) if mode == "imu" else _from_video(job, mode, setup)
+
+
+def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     """Every mode but imu."""
-    if job.recording.keypoints is None:
-        raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    calibration, camera, clocks = knowledge.calibration, knowledge.camera, knowledge.clocks
-    estimate = knowledge.calibrate and calibration is None and sensed
-    how: Calibrate = "given" if calibration is not None else "yes" if estimate else "no"
-    name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
-    choices = Choices(how, knowledge.known is not None, name)
-    known = None if knowledge.known is None else knowledge.known.for_another_recording()
-    warnings = tuple[str, ...]()
-    if clocks is None:
-        again = sensed and (calibration is None or not calibration.of_kind("delay"))
-        clocks = find_offset([job]) if again else ClockOffset()
-        warnings += clocks.warnings
-    job = clocks.corrected(job)
-    if job.recording.video.camera.uncertainty is not None:
-        camera = camera or _found_camera(job, mode)
-        job = replace(job, recording=with_camera(job.recording, camera.found))
-        warnings += camera.sentences
-    if estimate and not clocks.foreign:
-        calibration, more = estimated([job], knowledge.priors, known)
-        warnings += more
-    elif calibration is None:
-        calibration = known
-    elif known is not None:
-        calibration = known.followed_by(calibration)
+    clocks, camera, calibration = setup.clocks, setup.camera, setup.calibration
+    job = setup.corrected(job)
     own = job.calibrated(calibration)
     prepared, poses, solution = _optimised(own, mode, calibration, clocks.left_out(own))
     others = list[PoseSequence]()
     if solution is not None and solution.confidence is not None:
-        others += clocks.apart(poses) if sensed else ()
-        cameras = camera.deviations() if camera is not None else ()
-        silent = replace(own, progress=lambda *_: None)
-        for other in cameras:
+        others += clocks.apart(poses) if job.sensed(mode) else ()
+        for other in camera.deviations() if camera is not None else ():
             one = with_camera(own.recording, other)
-            others.append(silent.solved_again(one, mode, prepared.rejected, calibration)[1])
-    result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others, clocks)
+            others.append(own.solved_again(one, mode, prepared.rejected, calibration)[1])
+    result = _result(job, own, mode, prepared, poses, solution, setup, others)
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
     return replace(result, camera=camera, calibration=calibration, delay=clocks.delay)
-
-
-def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
-    """Estimate the camera; with sensors by solved poses, without by lifted ones."""
-    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    solver = replace(job.with_solver(None), progress=lambda *_: None)
-
-    def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
-        if sensed:
-            return solver.solved_again(recording, "rtof")
-        prepared = replace(solver, recording=recording).prepare("rto")
-        return prepared, prepared.start
-
-    report = partial(job.progress, "camera")
-    return find_camera(job.recording, job.subject, solve, job.lifter, report)
 
 
 def _optimised(
@@ -213,23 +171,20 @@ def _result(
     prepared: Prepared,
     poses: PoseSequence,
     solution: FragmentSolution | None,
-    calibration: SelfCalibration | None,
-    warnings: tuple[str, ...],
-    choices: Choices,
+    setup: SetupEstimate,
     others: Iterable[PoseSequence],
-    clocks: ClockOffset,
 ) -> Reconstruction:
-    """Check the motion against the recording and collect the result; `clocks` as `declared` has them."""
+    """Check the motion against the recording, which `declared` has before its calibration, and collect the result."""
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
-    warnings += quality_warnings(prepared, solution, settings)
+    warnings = (*setup.warnings, *quality_warnings(prepared, solution, settings))
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     motion = skeleton.motion(poses)
-    legs = None if solution is None else leg_misfit(prepared.keypoints, motion)
+    legs = None if solution is None else leg_misfit(prepared.recording.video, motion)
     found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
     if settings.checks:
         found, position = checks.run(
-            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=clocks.checks, legs=legs
+            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=setup.clocks.checks, legs=legs
         )
     _warn(recording, (*_failed(found), *prepared.faults, *warnings))
     motion, position = with_covariances(motion, prepared, solution, others, position, legs)
@@ -241,16 +196,15 @@ def _result(
         mode,
         motion,
         stages,
-        prepared.keypoints,
+        prepared.recording.video,
         prepared.bone_imus,
         solution,
         scores.get(mode),
         scores,
         faults=prepared.faults,
         warnings=warnings,
-        calibration=calibration,
         checks=found,
-        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
+        choices=replace(setup.choices, settings=settings.with_fragment(None) if unused else settings),
         position_errors=position,
     )
 
@@ -273,10 +227,8 @@ def calibrate_camera(
         ViewError: the person is behind the camera. Errors of the stages.
     """
     job = Job.of(recording, None, lifter, None, progress)
-    try:
-        return _found_camera(job, "lift")
-    except ViewError as error:
-        raise checks.explained(error, job.recording, job.subject, job.lifter) or error from error
+    with explaining(job):
+        return find_camera(job, "lift")
 
 
 def _from_sensors(job: Job) -> Reconstruction:
@@ -298,7 +250,7 @@ def _from_sensors(job: Job) -> Reconstruction:
         lambda done, total: job.progress("imu", done, total),
         job.times,
     )
-    wrong = checks.before(job.recording) if settings.checks else ()
+    wrong = check_sensor_form(job.recording) if settings.checks else ()
     _warn(recording, (*_failed(wrong), *faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}

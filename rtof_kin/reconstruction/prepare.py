@@ -1,4 +1,4 @@
-"""Everything that calibration and the fragment solver take, made once: clean streams, lift, SF2, start."""
+"""`Job`: what `reconstruct` was called with, and its stages; `Prepared`: clean streams, lift, SF2 and the start."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -23,13 +24,147 @@ from rtof_kin.reconstruction.camera_evidence import without_heading_drift
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess
 from rtof_kin.solve.settings import JointSpaceSettings
+from rtof_kin.solve.solution import FragmentSolution
 from rtof_kin.vision.outlier_rejection import gaps, reject_keypoint_outliers
 
 Progress = Callable[[str, int, int], None]  #: Called with (stage, steps done, steps in all)
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 2000.0  #: Frame rates that a video of a moving person may have
+_LOWEST_ANKLE: Final = 0.02  #: [m] Lowest ankle over a floor; a lower estimate has another cause
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What `reconstruct` was called with; the bodies have the lifter's pose prior if it has one."""
+
+    recording: Recording
+    skeleton: SkeletonModel | None
+    lifter: LifterLike | None
+    settings: ReconstructionSettings
+    progress: Progress
+    times: Array | None = None
+    """(T,) s of the frames, evenly spaced, on the clock of the keypoints; in mode imu, of the sensors. None:
+    those of the recording, evenly spaced where they are not."""
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        skeleton: SkeletonModel | None = None,
+        lifter: LifterLike | None = None,
+        settings: ReconstructionSettings | None = None,
+        progress: Progress | None = None,
+    ) -> Job:
+        """Return the job for arguments of `reconstruct`; None stands for their defaults."""
+        prior = getattr(lifter, "prior", None)
+        if prior is not None:
+            recording = replace(recording, model_prior=prior)
+            skeleton = None if skeleton is None else skeleton.with_prior(prior)
+        progress = progress or (lambda *_: None)
+        return cls(recording, skeleton, lifter, settings or ReconstructionSettings(), progress)
+
+    def sensed(self, mode: Mode) -> bool:
+        """Return whether a mode uses the recording's sensors beside the image."""
+        return mode in ("sf2", "rtof") and self.recording.imus is not None
+
+    @property
+    def subject(self) -> SkeletonModel:
+        """The skeleton that was given, else that of the recording."""
+        return self.skeleton or self.recording.skeleton
+
+    def prepare(
+        self, mode: Mode, rejected: tuple[StreamFault, ...] = (), calibration: SelfCalibration | None = None
+    ) -> Prepared:
+        """Clean the streams, lift the video and, with sensors, correct the lift by SF2.
+
+        `rejected`: intervals of sensors that are not used, by segment. `calibration`: that was applied before.
+
+        Raises:
+            InvalidInputError: times or points are in another unit; there are no keypoints, or no IMUs in a
+                mode that needs them. ViewError: the person is behind the camera.
+        """
+        if self.recording.keypoints is None:
+            raise InvalidInputError("the recording has no keypoints; without them use mode 'imu'")
+        settings, skeleton = self.settings, self.subject
+        _check_units(self.recording.video)
+        recording, faults = cleaned(self.recording, settings)
+        keypoints = evenly_spaced(recording.video, self.times)
+        views = tuple(view.resample(keypoints.times) for view in recording.views)
+        recording = replace(recording, keypoints=keypoints, views=views)
+        bone_imus = recording.bone_imus() if mode in ("sf2", "rtof") else None
+        if mode in ("sf2", "rtof") and bone_imus is None:
+            raise InvalidInputError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
+        if bone_imus is not None and rejected:
+            bone_imus = mask_faults(bone_imus, rejected)
+        if bone_imus is not None and keypoints.camera.heading_drift:
+            keypoints = without_heading_drift(keypoints, bone_imus, skeleton, self.lifter)
+            recording = replace(recording, keypoints=keypoints)
+        sensors = bone_imus if settings.lift_with_sensors else None
+        lifts, cameras = [], (keypoints, *views)
+        for i, seen in enumerate(cameras):
+            self.progress("lift", i, len(cameras))
+            lifts.append(lift(seen, skeleton, self.lifter, sensors, recording.floor_height))
+        self.progress("lift", len(cameras), len(cameras))
+        lifted = fused(lifts, cameras, skeleton)
+        stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
+        return Prepared(recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected)
+
+    def calibrated(self, calibration: SelfCalibration | None) -> Job:
+        """Return the job on the calibrated recording, or as it is for None, with its fragment solver's settings."""
+        job = self
+        if calibration is not None:
+            skeleton = None if calibration.of_kind("bones") else self.skeleton
+            times = None if self.times is None else calibration.on_clock(self.times)
+            recording = calibration.apply(self.recording)
+            job = replace(self, recording=recording, skeleton=skeleton, times=times)
+        return job.with_solver(calibration)
+
+    def with_solver(self, calibration: SelfCalibration | None) -> Job:
+        """Return the job with the settings of the fragment solver, on the recording's floor if it has one;
+        `calibration`: of the recording, which may have raised the ankles.
+        """
+        solver = self.settings.solver(self.subject)
+        if isinstance(solver, JointSpaceSettings) and solver.floor_height is None:
+            higher = 0.0 if calibration is None else calibration.ankle_height
+            ankles = max(solver.ankle_height + higher, _LOWEST_ANKLE)
+            solver = replace(solver, floor_height=self.recording.floor_height, ankle_height=ankles)
+        return replace(self, settings=self.settings.with_fragment(solver))
+
+    def solve(self, prepared: Prepared, confidence: bool, stage: str = "") -> FragmentSolution:
+        """Optimise the prepared poses; progress is reported under the name `stage`, unless empty."""
+        places = None  # Cartesian space: all segments that may carry a sensor
+        if isinstance(self.settings.fragment, JointSpaceSettings):
+            places = self._sensor_places(prepared.skeleton)
+        solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
+        report, clean = (lambda i, n: self.progress(stage, i, n)) if stage else None, prepared.recording
+        return solver.solve(
+            prepared.guess, clean.video, prepared.bone_imus, report, confidence=confidence, views=clean.views
+        )
+
+    def solved_again(
+        self,
+        recording: Recording,
+        mode: Mode,
+        rejected: tuple[StreamFault, ...] = (),
+        calibration: SelfCalibration | None = None,
+    ) -> tuple[Prepared, PoseSequence]:
+        """Prepare and solve another version of the recording, without covariances and progress."""
+        own = replace(self, recording=recording, progress=lambda *_: None)
+        prepared = own.prepare(mode, rejected, calibration)
+        return prepared, own.solve(prepared, confidence=False).poses
+
+    def _sensor_places(self, skeleton: SkeletonModel) -> tuple[str, ...]:
+        """Segments for which the problem has room for a sensor: those that the recording or the settings
+        name, used in this mode or not, so that all modes share one compilation.
+        """
+        places, imus = {*self.settings.sensor_joints}, self.recording.imus
+        if self.recording.calibration is not None and imus is not None:
+            pairs = zip(self.recording.calibration.sensors, self.recording.calibration.joints, strict=True)
+            places |= {joint for sensor, joint in pairs if sensor in imus.names}
+        return tuple(joint for joint, _ in skeleton.sensors.values() if joint in places)
 
 
 @dataclass(frozen=True)
@@ -55,26 +190,17 @@ class Prepared:
         return (*self.outliers, *self.rejected)
 
     @cached_property
-    def keypoints(self) -> KeypointSequence:
-        """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
-        video = self.recording.video
-        return video if self.calibration is None else self.calibration.moved(video, self.start)
-
-    @cached_property
-    def views(self) -> tuple[KeypointSequence, ...]:
-        """The same of further cameras."""
-        views = self.recording.views
-        if self.calibration is None:
-            return views
-        return tuple(self.calibration.moved(view, self.start) for view in views)
-
-    @cached_property
     def guess(self) -> InitialGuess:
         """What the fragment solver and the calibration start from."""
         solver = self.settings.solver(self.skeleton)
         sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
         return initial_guess(
-            self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root, views=self.views
+            self.start,
+            self.recording.video,
+            sensors,
+            self.skeleton,
+            refit_root=solver.refit_root,
+            views=self.recording.views,
         )
 
     def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:
@@ -84,55 +210,6 @@ class Prepared:
         stages, start = _refined(self.lifted, self.skeleton, "rtof", bone_imus, self.settings)
         rejected = merge_faults((*self.rejected, *wrong))
         return replace(self, bone_imus=bone_imus, stages=stages, start=start, rejected=rejected)
-
-
-def prepare(
-    recording: Recording,
-    skeleton: SkeletonModel,
-    mode: Mode,
-    lifter: LifterLike | None,
-    settings: ReconstructionSettings,
-    progress: Progress,
-    *,
-    rejected: tuple[StreamFault, ...] = (),
-    calibration: SelfCalibration | None = None,
-    times: Array | None = None,
-) -> Prepared:
-    """Clean the streams, lift the video and, with sensors, correct the lift by SF2.
-
-    Args:
-        skeleton: the subject's. lifter: default: the shipped one.
-        rejected: intervals of sensors that are not used, by segment.
-        times: (T,) s of the frames; by default those of the keypoints, see `evenly_spaced`.
-
-    Raises:
-        InvalidInputError: times or points are in another unit; there are no keypoints, or no IMUs in a
-            mode that needs them. ViewError: the person is behind the camera.
-    """
-    if recording.keypoints is None:
-        raise InvalidInputError("the recording has no keypoints; without them use mode 'imu'")
-    _check_units(recording.video)
-    recording, faults = cleaned(recording, settings)
-    keypoints = evenly_spaced(recording.video, times)
-    views = tuple(view.resample(keypoints.times) for view in recording.views)
-    recording = replace(recording, keypoints=keypoints, views=views)
-    bone_imus = recording.bone_imus() if mode in ("sf2", "rtof") else None
-    if mode in ("sf2", "rtof") and bone_imus is None:
-        raise InvalidInputError(f"mode {mode} needs IMUs and the recording has none; use 'lift' or 'rto'")
-    if bone_imus is not None and rejected:
-        bone_imus = mask_faults(bone_imus, rejected)
-    if bone_imus is not None and keypoints.camera.heading_drift:
-        keypoints = without_heading_drift(keypoints, bone_imus, skeleton, lifter)
-        recording = replace(recording, keypoints=keypoints)
-    sensors = bone_imus if settings.lift_with_sensors else None
-    lifts, cameras = [], (keypoints, *views)
-    for i, seen in enumerate(cameras):
-        progress("lift", i, len(cameras))
-        lifts.append(lift(seen, skeleton, lifter, sensors, recording.floor_height))
-    progress("lift", len(cameras), len(cameras))
-    lifted = fused(lifts, cameras, skeleton)
-    stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
-    return Prepared(recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected)
 
 
 def _refined(
@@ -172,25 +249,19 @@ def cleaned(
     recording: Recording, settings: ReconstructionSettings, camera: bool = True
 ) -> tuple[Recording, tuple[StreamFault, ...]]:
     """Return the recording without outliers, and what was found."""
-    keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
-    if camera and keypoints is not None:
-        keypoints, faults = reject_keypoint_outliers(
-            keypoints, sides="sides" in settings.guards, person="person" in settings.guards
-        )
-    if "samples" in settings.guards and imus is not None:
+    guards, faults, cameras = settings.guards, list[StreamFault](), list[KeypointSequence]()
+    imus, keypoints, missing = recording.imus, recording.keypoints, missing_data(recording)
+    for i, view in enumerate((keypoints, *recording.views) if camera and keypoints is not None else ()):
+        clean, found = reject_keypoint_outliers(view, sides="sides" in guards, person="person" in guards)
+        cameras.append(clean)
+        faults += (replace(fault, what=f"{fault.what} of view {i}") for fault in found) if i else found
+    if "samples" in guards and imus is not None:
         imus, of_sensors = reject_imu_outliers(imus)
         faults += of_sensors
-    views = []
-    for i, view in enumerate(recording.views if camera else (), start=1):
-        view, of_view = reject_keypoint_outliers(
-            view, sides="sides" in settings.guards, person="person" in settings.guards
-        )
-        views.append(view)
-        faults += tuple(replace(fault, what=f"{fault.what} of view {i}") for fault in of_view)
-    if views:
-        recording = replace(recording, views=tuple(views))
-    faults += tuple(missing_data(recording))
-    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
+    faults += missing
+    if cameras:
+        recording = replace(recording, keypoints=cameras[0], views=tuple(cameras[1:]))
+    return replace(recording, imus=imus), tuple(faults)
 
 
 def missing_data(recording: Recording) -> Iterator[StreamFault]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
@@ -25,16 +25,17 @@ from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
 from rtof_kin.core.checks import Check
-from rtof_kin.core.errors import CalibrationError, RtofError
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_feet
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
-from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike, lift
-from rtof_kin.reconstruction.prepare import Prepared, Progress
+from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
+from rtof_kin.reconstruction.result import Choices
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -103,7 +104,7 @@ def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: Sel
         prepared = job.prepare("sf2", calibration=known)
         assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
         used = replace(prepared, settings=job.settings.with_fragment(solver))
-        slices.append(Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus))
+        slices.append(Slice(prepared.recording, used.guess, prepared.bone_imus))
     progress = partial(own[0].progress, "calibrate")
     found = estimate_calibration(
         slices, priors, solver, settings.frames, progress, without_slipped="motion" in settings.guards
@@ -167,8 +168,6 @@ _MOST_SECONDS = 40.0  # [s] of a longer recording that are used: those in which 
 _ENOUGH_HZ = 25.0  # Frames per second that are enough; of faster videos, every second, third ... frame is used.
 _STEP = 5.0  # [s] between the beginnings of excerpts that are compared
 
-Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]  # Prepare a recording and solve its poses
-
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
     """Return a recording with another first camera, those of further views carried along."""
@@ -177,39 +176,40 @@ def with_camera(recording: Recording, camera: Camera) -> Recording:
     return replace(recording, keypoints=replace(recording.video, camera=camera), views=views)
 
 
-def find_camera(
-    recording: Recording,
-    skeleton: SkeletonModel,
-    solve: Solve,
-    lifter: LifterLike | None,
-    progress: Callable[[int, int], None] | None = None,
-) -> CameraEstimate:
-    """Estimate the unknowns of the first camera from its recording, without further views.
-
-    Args:
-        lifter: default: the shipped one. progress: called with (steps done, steps in all).
+def find_camera(job: Job, mode: Mode) -> CameraEstimate:
+    """Estimate the unknowns of the first camera without further views; by solved poses in modes with sensors, else by
+    lifted ones.
 
     Raises:
         Errors of the stages, with the camera as declared.
     """
-    assumed = recording.video.camera
-    recording = replace(recording, keypoints=excerpt(recording.video), views=(), truth=None)
+    sensed, job = job.sensed(mode), job.with_solver(None)
+    report = partial(job.progress, "camera")
+    seen = job.recording.video
+    recording = replace(job.recording, keypoints=excerpt(seen), views=(), truth=None)
+
+    def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
+        if sensed:
+            return job.solved_again(recording, "rtof")
+        prepared = replace(job, recording=recording, progress=lambda *_: None).prepare("rto")
+        return prepared, prepared.start
+
     prepared, poses = solve(recording)
-    clean, imus = prepared.recording, prepared.bone_imus
-    contacts = standing_feet(clean.video, poses, skeleton)
-    sensed = imus is not None and np.isfinite(imus.R_world_bone).any()
-    fresh = assumed.uncertainty is None or not assumed.uncertainty.of_motion
-    scene = Scene(skeleton, recording.floor_height, contacts, imus if sensed else None, fresh)
+    clean, imus, floor = prepared.recording, prepared.bone_imus, recording.floor_height
+    if imus is not None and not np.isfinite(imus.R_world_bone).any():
+        imus = None
+    fresh = seen.camera.uncertainty is None or not seen.camera.uncertainty.of_motion
+    scene = Scene(job.subject, floor, standing_feet(clean.video, poses, job.subject), imus, fresh)
 
     def seen_by(camera: Camera) -> Evidence:
         own = with_camera(clean, camera)
         prepared, poses = solve(own)
         by_image = prepared.lifted.poses
         if scene.bone_imus is not None:
-            by_image = lift(own.video, skeleton, lifter, None, recording.floor_height).poses
+            by_image = lift(own.video, job.subject, job.lifter, None, floor).poses
         return evidence(scene, own.video, by_image, poses)
 
-    return estimate_camera(assumed, seen_by, progress)
+    return estimate_camera(seen.camera, seen_by, report)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
@@ -309,15 +309,67 @@ class ClockOffset:
 
 
 @dataclass(frozen=True)
-class Knowledge:
-    """What is known of a recording before it is solved, and whether it is calibrated; as for `reconstruct`."""
+class Given:
+    """What a caller of `reconstruct` knows or wants of the calibration of a recording."""
 
     calibrate: bool = False
     priors: CalibrationPriors | None = None
     calibration: SelfCalibration | None = None
-    known: SelfCalibration | None = None
-    camera: CameraEstimate | None = None  # Of an uncalibrated camera; None: to be estimated
-    clocks: ClockOffset | None = None  # With which `calibration` was estimated; None: to be estimated
+    known: SelfCalibration | None = None  # Of another recording of the same person
+
+
+@dataclass(frozen=True)
+class SetupEstimate:
+    """What is estimated once of a recording, before its motion is solved: clocks, camera and calibration."""
+
+    calibration: SelfCalibration | None = None
+    camera: CameraEstimate | None = None  # None for a calibrated one
+    clocks: ClockOffset = field(default_factory=ClockOffset)
+    choices: Choices = field(default_factory=Choices)
+    warnings: tuple[str, ...] = ()
+
+    def corrected(self, job: Job) -> Job:
+        """Return the job on a recording with these clocks and this camera."""
+        job = self.clocks.corrected(job)
+        return job if self.camera is None else replace(job, recording=with_camera(job.recording, self.camera.found))
+
+
+def estimate_setup(
+    job: Job, mode: Mode, given: Given, slices: Sequence[Job] | None = None, filmed: Job | None = None
+) -> SetupEstimate:
+    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given.
+
+    Args:
+        job: on the recording, or its first part. slices: on excerpts of a long one, in the order of time, by which
+            clocks and calibration are estimated; filmed: the same for its camera, which the image alone shows then.
+
+    Raises:
+        Errors of the stages.
+    """
+    if mode == "imu":
+        return SetupEstimate()
+    own = job.recording.keypoints
+    if own is None:
+        raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+    sensed, calibration, known = job.sensed(mode), given.calibration, given.known
+    name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
+    calibrate = given.calibrate and sensed and calibration is None
+    choices = Choices("given" if calibration is not None else "yes" if calibrate else "no", known is not None, name)
+    jobs, clocks, camera = [job] if slices is None else slices, ClockOffset(), None
+    if sensed and (calibration is None or not calibration.of_kind("delay")):
+        clocks = find_offset(jobs)
+    warnings = clocks.warnings
+    if own.camera.uncertainty is not None:
+        camera = find_camera(clocks.corrected(filmed or job), mode if filmed is None else "lift")
+        warnings += camera.sentences
+    known = None if known is None else known.for_another_recording()
+    setup = SetupEstimate(known, camera, clocks, choices, warnings)
+    if calibration is not None:
+        return replace(setup, calibration=calibration if known is None else known.followed_by(calibration))
+    if calibrate and jobs and not clocks.foreign:
+        calibration, more = estimated([setup.corrected(own) for own in jobs], given.priors, known)
+        return replace(setup, calibration=calibration, warnings=(*warnings, *more))
+    return setup
 
 
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:

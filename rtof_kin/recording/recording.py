@@ -24,7 +24,7 @@ from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
@@ -36,7 +36,7 @@ from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keyp
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
-from rtof_kin.recording.streams import ALL, OnDisk, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
+from rtof_kin.recording.streams import ALL, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
@@ -179,9 +179,9 @@ class Recording(RecordingSource):
         """All that changes over time."""
 
         def stream(part: Part | None) -> Stream[Part] | None:
-            return None if part is None else Source().keep(part)
+            return None if part is None else Stream.of(part)
 
-        views = tuple(Source().keep(view) for view in self.views)
+        views = tuple(Stream.of(view) for view in self.views)
         return Streams(stream(self.keypoints), views, stream(self.imus), stream(self.truth))
 
     def whole(self) -> Self:
@@ -224,19 +224,12 @@ class Recording(RecordingSource):
     # --- files -----------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, folder: str | Path) -> Self:
-        """Read a recording folder.
-
-        Args:
-            folder: that has a file ``recording.toml``.
-
-        Raises:
-            FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    def load(cls, folder: str | Path) -> Recording:
+        """Read a recording folder, which has a file ``recording.toml``; `FileFormatError`, `UnknownNameError` and
+        `UnitError` name file, field and remedy.
         """
-        index = index_of(Path(folder))
-        with naming(index.path):
-            fields, streams = read_index(index, Source())
-            return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))
+        with RecordingReader.open(folder) as reader:
+            return reader.whole()
 
     def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
         """Write the folder that `load` reads back exactly, or nothing at all.
@@ -335,7 +328,7 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
 class RecordingReader(RecordingSource):
     """A recording's folder of which spans of time are read when needed.
 
-    It is checked as a whole when it is opened, by blocks, and kept in temporary files.
+    It is checked as a whole when it is opened, by blocks; its samples are kept in temporary files.
     """
 
     def __init__(self, first: Recording, streams: Streams, closing: ExitStack):
@@ -345,29 +338,13 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a recording's folder; to be closed after use.
-
-        Args:
-            folder: that has a file ``recording.toml``.
-
-        Raises:
-            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
-        """
-        try:
-            return cls._opened(Path(folder))
-        except RtofError:
-            Recording.load(folder)  # its error counts samples from the start of the whole
-            raise
-
-    @classmethod
-    def _opened(cls, folder: Path) -> Self:
-        index = index_of(folder)
+        """Open a recording's folder, to be closed after use; errors as `Recording.load`."""
+        index = index_of(Path(folder))
         with ExitStack() as closing, naming(index.path):
-            fields, streams = read_index(index, OnDisk(closing))
-            parts = streams.parts(lambda stream: stream.part(slice(0, 1)))
-            recording = Recording(**fields, **parts, is_part=True)
+            fields, streams = read_index(index, Source(closing))
+            first = Recording(**fields, **streams.parts(lambda stream: stream.part(slice(0, 1))), is_part=True)
             streams.check_clocks()
-            return cls(recording, streams, closing.pop_all())
+            return cls(first, streams, closing.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -404,4 +381,4 @@ class RecordingReader(RecordingSource):
 
     def whole(self) -> Recording:
         """Return all of it, as `Recording.load` does."""
-        return replace(self.between(-np.inf, np.inf), is_part=False)
+        return replace(self._first, **self._streams.parts(lambda stream: stream.part(ALL)), is_part=False)

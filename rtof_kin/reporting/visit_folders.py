@@ -45,7 +45,7 @@ from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 PLAN: Final = "follow.toml"
 _DAY: Final = re.compile(r"(?<!\d)(\d{4})[-_.]?(\d{2})[-_.]?(\d{2})(?!\d)")
 _OF_RUN: Final = "motion"  # folder of the motion in the output of `run`
-_SETTINGS: Final = ("space", "backend", "energy", "lifter", "lift_with_sensors", "calibrate")
+_SETTINGS: Final = ("space", "energy", "lifter", "lift_with_sensors", "calibrate")
 _STEADY: Final = 0.8  # length of the mean of unit vectors along the heading, from which on it has a mean
 Progress = Callable[[int, int], None]
 

@@ -13,8 +13,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.reconstruction import self_calibration
-from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, ClockOffset, find_offset
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit

@@ -8,18 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rtof_kin.reconstruction.parts
-import rtof_kin.reconstruction.pipeline
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.measurements_file import read_measurements
-from rtof_kin.reconstruction import parts
+from rtof_kin.reconstruction import parts, self_calibration
 from rtof_kin.reconstruction.parts import is_long, parts_of, reconstruct_in_parts
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import ClockOffset
+from rtof_kin.reconstruction.self_calibration import ClockOffset, SetupEstimate
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.export import export
@@ -59,8 +57,7 @@ def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
 
 @pytest.mark.parametrize("mode", ["rtof", "imu"])
 def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (rtof_kin.reconstruction.pipeline, rtof_kin.reconstruction.parts):
-        monkeypatch.setattr(module, "find_offset", lambda _: ClockOffset())  # of other excerpts, 2 ms apart
+    monkeypatch.setattr(self_calibration, "find_offset", lambda _: ClockOffset())  # of other excerpts, 2 ms apart
     demo = demo.between(0.0, 6.5)
     whole = reconstruct(demo, mode=mode)
     parts = list(reconstruct_in_parts(demo, mode=mode, seconds=SECONDS))
@@ -116,8 +113,8 @@ def test_a_part_in_which_nobody_is_seen_is_marked_and_written_like_the_others(
             quantity("camera tilt", "camera", [0.01, 0.0, 0.0]),
         )
     )
-    once = parts._Once(found, None, Choices("yes"), ())
-    monkeypatch.setattr(parts, "_estimated_once", lambda *_: once)
+    once = SetupEstimate(found, choices=Choices("yes"))
+    monkeypatch.setattr(parts, "estimate_setup", lambda *_: once)
     seen = demo.video
     absent = seen.times < 7.0
     uv = np.where(absent[:, None, None], np.nan, seen.uv_px)

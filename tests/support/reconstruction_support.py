@@ -13,7 +13,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import Mode
 from rtof_kin.reconstruction.lift import Lifted, lift
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.prepare import Prepared, prepare
+from rtof_kin.reconstruction.prepare import Job, Prepared
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -46,7 +46,7 @@ class Case:
         return lift(self.recording.video, BODY, lifter)
 
     def prepare(self, mode: Mode, lifter: Any = None, settings: Any = SETTINGS) -> Prepared:
-        return prepare(self.recording, BODY, mode, lifter or self.lifter(), settings, lambda *_: None)
+        return Job.of(self.recording, BODY, lifter or self.lifter(), settings, None).prepare(mode)
 
     def run(self, mode: str = "rtof", **options: Any) -> Reconstruction:
         """Reconstruct without calibration, unless the options differ."""

@@ -1,4 +1,4 @@
-"""Checks of what a recording declares: `before` a reconstruction by its samples, `run` after it by the motion.
+"""Checks of what a recording declares, against its samples (`sensors.check_sensor_form`) and, by `run`, its motion.
 
 Every finding is a `rtof_kin.core.checks.Check`; of several that one mistake fails, the one that names it comes first.
 `image` looks at the picture, `camera` at camera, body and floor, `sensors` and `causes` at sensors and clocks,
@@ -22,11 +22,6 @@ from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.uncertainty import LegMisfit
-
-
-def before(recording: Recording) -> tuple[Check, ...]:
-    """Check by physics that the sensors' samples have the units, signs and frames of a recording; none without IMUs."""
-    return check_sensor_form(recording)
 
 
 def run(
@@ -61,7 +56,7 @@ def run(
     elif any(check.failed and check.name == RATE for check in sensors):  # at the right rate they may belong to it
         found = (*sensors, *camera)
     else:
-        found = (*before(recording), *belonging, *camera)
+        found = (*check_sensor_form(recording), *belonging, *camera)
     return found, position
 
 
@@ -73,7 +68,7 @@ def explained(
         found = check_camera_alone(recording, skeleton, lifter)
         cause = next((check.cause for check in found if check.failed and check.cause), None)
         return None if cause is None else ViewError(f"{cause}: {error}")
-    causes = [check.message for check in before(recording) if check.failed]
+    causes = [check.message for check in check_sensor_form(recording) if check.failed]
     if causes and isinstance(error, CalibrationError | InvalidInputError | SolverError):
         return type(error)("; ".join([*causes, f"therefore {error}"]))
     return None

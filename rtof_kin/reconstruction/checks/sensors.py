@@ -27,7 +27,7 @@ from rtof_kin.inertial.pose_calibration import pose_rotations, usual_lever
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup, setup_log_likelihood
 from rtof_kin.reconstruction.checks.causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
 from rtof_kin.reconstruction.lift import LifterLike, lift
-from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
+from rtof_kin.reconstruction.prepare import Job, Prepared, evenly_spaced
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -158,7 +158,7 @@ def _check_setup(
     ):
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")
     if prepared.bone_imus is not None or prepared.calibration is not None:
-        prepared = prepare(recording, skeleton, "lift", lifter, prepared.settings, lambda *_: None)
+        prepared = Job.of(recording, skeleton, lifter, prepared.settings, None).prepare("lift")
     bone_imus, visual = prepared.recording.bone_imus(), prepared.stages["lift"]
     times = np.zeros(0)
     if bone_imus is not None:
