@@ -204,11 +204,7 @@ class Recording(RecordingSource):
         return self.cut(self.streams, start_s, stop_s)
 
     def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval; see `between`.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-        """
+        """Return what was recorded in a closed interval; see `between`. start_s, stop_s: first and last instant, s."""
         parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
         if parts["keypoints"] is None and parts["imus"] is None:
             raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
