@@ -309,12 +309,3 @@ class SensorLog:
         indices_of("sensor", list(names), self.names)
         streams = [replace(s, name=names.get(s.name, s.name)) for s in self.streams]
         return replace(self, streams=tuple(streams))
-
-    def imus(self) -> tuple[ImuSequence, ...]:
-        """Return orientation and specific force for a recording, sensors with equal times joined. `InvalidInputError`:
-        a sensor has no orientation or no acceleration.
-        """
-        groups: dict[bytes, list[ImuSequence]] = {}
-        for stream in self.streams:
-            groups.setdefault(stream.times.tobytes(), []).append(stream.imu())
-        return tuple(ImuSequence.joined(group) for group in groups.values())
