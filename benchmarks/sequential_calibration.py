@@ -178,7 +178,7 @@ class StandIn:
                 FRAMES,
                 solver,
                 prepared.guess,
-                prepared.keypoints,
+                prepared.recording.video,
                 native.resample(self.times),
                 places=native.joints,
             )
@@ -297,13 +297,7 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
                 row["slices"] = len(run.seconds) / max(found.windows, 1)
             yield row
         if (case.case, variant) in BATCH:
-            batch = calibrate(
-                replace(prepared.recording, keypoints=prepared.keypoints),
-                prepared.guess,
-                VARIANTS[variant],
-                stand_in.settings,
-                FRAMES,
-            )
+            batch = calibrate(prepared.recording, prepared.guess, VARIANTS[variant], stand_in.settings, FRAMES)
             yield {**about, "how": "batch", "errors": errors(batch, truths)}
 
 

@@ -9,7 +9,7 @@ information I and gradient s at the current y are those of `fragment_profile`, t
     y  = y_0 + (P + r S)^-1 r b       r = min(1, effective seconds / c)
 
 P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
-windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
+windows count together as `EFFECTIVE_SECONDS` at most, and those of m seconds ago less.
 
 The delay of the video has a posterior of its own (`DelayPosterior`), as energies are not quadratic in it.
 
@@ -31,7 +31,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from rtof_kin.calibration.estimate import quantities_of
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, Slices
 from rtof_kin.calibration.offset_scan import OffsetScan
-from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, WEIGHT_POSES, CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.calibration.unknowns import (
@@ -231,7 +231,7 @@ class SequentialCalibration:
             CalibrationError: nothing is open.
         """
         priors = priors or DELAY_ALONE
-        self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
+        self._problem, self._settings, self._pace = problem, settings, pace or Pace()
         self._limits = Limits(problem.space) if settings.limits else None
         self.unknowns = _opened(problem, priors)
         if not self.unknowns and priors.sigma_delay is None:
@@ -239,7 +239,7 @@ class SequentialCalibration:
         self.columns = columns_of(self.unknowns)
         covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(len(u.covariance) for u in self.unknowns)]
         self._usual = np.array(np.diag(covariance))
-        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if _is_known(q)}
+        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if q.observed}
         self._mean = _started(self.unknowns, covariance, saved)
         self._prior = np.asarray(np.linalg.inv(covariance) if self.unknowns else covariance)
         self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
@@ -272,17 +272,8 @@ class SequentialCalibration:
         energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
         information, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
-            p, rows = self._priors, now.rows
-            fragment = replace(
-                fragment,
-                observations=now.changed(
-                    w_visual=p.weight_vision * rows["w_visual"],
-                    knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
-                    w_sensor=p.weight_sensors * rows["w_sensor"],
-                    w_prior=p.weight_poses * rows["w_prior"],
-                    w_torso=p.weight_poses * rows["w_torso"],
-                ),
-            )
+            weighted = {name: WEIGHT_POSES * now.rows[name] for name in ("w_prior", "w_torso")}
+            fragment = replace(fragment, observations=now.changed(**weighted))
             self._problem.bind(fragment.observations.fragment(0, N))
             yield
             information, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
@@ -318,7 +309,7 @@ class SequentialCalibration:
     def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
         if sampled is not None:
-            given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
+            given = Delay(1.0, lambda _: sampled).correct(given, np.zeros(1))
         return corrected(given, self.unknowns, y)
 
     def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
@@ -357,7 +348,7 @@ class SequentialCalibration:
         self.windows += 1
         if self.delay:
             self.delay.add(energies, kept)
-            self.delay.estimate(self._share / self._priors.overcount)
+            self.delay.estimate(self._share / OVERCOUNT)
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
@@ -365,7 +356,7 @@ class SequentialCalibration:
     @property
     def _share(self) -> float:
         """Weight of all windows: together they count as the effective seconds at most."""
-        return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
+        return min(1.0, EFFECTIVE_SECONDS / max(self._seconds, 1e-9))
 
     def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
         found = [self.delay.quantity] if self.delay else []
@@ -376,7 +367,6 @@ class SequentialCalibration:
                 self.y - self._mean,
                 hessian,
                 self._prior,
-                self._priors.overcount,
                 self._usual,
                 self._pace.significant if significant is None else significant,
             )
@@ -395,7 +385,7 @@ class SequentialCalibration:
         for q in quantities:
             own = slice(first, first + len(q.value))
             first = own.stop
-            if _is_known(q):
+            if q.observed:
                 wanted[own] = q.value
         return wanted, delay
 
@@ -411,15 +401,11 @@ def _turning(given: CalibrationObservations) -> float:
     return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
 
 
-def _is_known(quantity: Quantity) -> bool:
-    return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
-
-
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
     if sensors := tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors):
-        found += open_sensors(replace(priors, sigma_heading_drift=None, sigma_lever_arm=None), skeleton, sensors)
+        found += open_sensors(priors, skeleton, sensors)
     if priors.sigma_posture is not None:
         found.append(Posture.of(problem.space.names, priors.sigma_posture))
     return tuple(found)

@@ -292,6 +292,7 @@ class PointChannels:
             if part in "xy" and unit.lower() not in _PIXELS:
                 raise InvalidInputError(f"{where}: unit {unit!r}; send coordinates in px")
             found[point][part] = column
+        found = {point: parts for point, parts in found.items() if parts.keys() & {"x", "y"}}
         for point, parts in found.items():
             lacking = [part for part in "xy" if part not in parts]
             if lacking:
