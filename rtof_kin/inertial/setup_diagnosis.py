@@ -170,7 +170,8 @@ def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSeq
     def total(motions: Sequence[SegmentMotion]) -> float:
         by_joint = {motion.joint: motion for motion in motions}
         out = sum(single(motion) for motion in motions)
-        return weight * (out + sum(pair(by_joint[a], by_joint[b]) for a, b in likelihood.tree(sorted(by_joint))))
+        out += sum(pair(by_joint[a], by_joint[b]) for a, b in likelihood.tree(sorted(by_joint)))
+        return float(weight * out)
 
     return total, bool(seen)
 
