@@ -186,7 +186,5 @@ def overlay(
             soft_wrap=True,
         )
     out.print(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""), soft_wrap=True)
-    if result.encoder == "mpeg4":
-        out.print("this PyAV cannot encode H.264: the file is MPEG-4 part 2, which browsers do not play")
     if video is not None and settings.blur_face:
         out.print(f"faces: {_OTHERS}; look at the whole film before you pass it on", soft_wrap=True)

@@ -38,14 +38,6 @@ _FOLLOWED: Final = ("rate", "jitter", "samples lost", "stuck")
 # --- numbers of a sample -------------------------------------------------------------------------
 
 
-def shape_faults(samples: Sequence[Sample], landmarks: Sequence[int]) -> list[str]:
-    """Return for each sample why its arrays cannot even be kept; '' where they can.
-
-    `samples`: of any streams. landmarks: for each sample the number of points that its source names.
-    """
-    return [_shape_fault(sample, L) for sample, L in zip(samples, landmarks, strict=True)]
-
-
 def number_faults(samples: Sequence[Sample]) -> list[str]:
     """Return for each sample why its numbers are of no use; '' where they are."""
     out = [_frame_fault(s) if isinstance(s, FrameSample) else "" for s in samples]
@@ -56,15 +48,6 @@ def number_faults(samples: Sequence[Sample]) -> list[str]:
         for (i, _), fault in zip(imus, _imu_faults(R, f), strict=True):
             out[i] = fault
     return out
-
-
-def _shape_fault(sample: Sample, landmarks: int) -> str:
-    if isinstance(sample, ImuSample):
-        R, f = np.shape(sample.R_inertial_sensor), np.shape(sample.f_sensor)
-        return "" if (R, f) == ((3, 3), (3,)) else f"has shapes {R} and {f}, not (3, 3) and (3,)"
-    if np.shape(sample.uv_px) != (landmarks, 2) or np.shape(sample.confidence) != (landmarks,):
-        return f"has {len(np.atleast_1d(sample.uv_px))} points where {landmarks} are named"
-    return ""
 
 
 def _frame_fault(sample: FrameSample) -> str:
