@@ -105,10 +105,10 @@ def test_mt_rate_can_be_declared_and_must_be_common(tmp_path: Path) -> None:
         read_xsens_mt([path])
     assert read_xsens_mt([path], rate_hz=100).streams[0].rate_hz == pytest.approx(100)
     for rate in ("0", "1.2.3", "99999999"):
-        with pytest.raises(FileFormatError, match=f"Update Rate: {rate}Hz"):
+        with pytest.raises(FileFormatError, match="Update Rate: ... Hz.* found none"):
             read_xsens_mt([mt(tmp_path, mt_text(ONE, COUNTERS, rate=rate))])
     both = [mt(tmp_path, mt_text(ONE, COUNTERS, rate=r), n) for r, n in (("60", "00B40001"), ("100", "00B40002"))]
-    with pytest.raises(FileFormatError, match="00B40002.txt: its rate is 100 Hz .* 60 Hz"):
+    with pytest.raises(FileFormatError, match="found 60 Hz in .*00B40001.txt and 100 Hz"):
         read_xsens_mt(both)
 
 
