@@ -185,7 +185,9 @@ class StandIn:
             for _ in range(2)
         )
         self.problem = again.problem
-        self.given = CalibrationObservations.of(self.data, self.times)
+        self.given = CalibrationObservations(
+            self.times, self.data.rows, self.data.constant, self.data.a_world, self.data.w_acceleration
+        )
         slow = low_passed(even_noise(native), solver)
         assert slow is not None
         self._sensors = slow

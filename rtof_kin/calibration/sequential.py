@@ -14,7 +14,7 @@ windows count together as `EFFECTIVE_SECONDS` at most, and those of m seconds ag
 The delay of the video has a posterior of its own (`DelayPosterior`), as energies are not quadratic in it.
 
 An update takes some 50 ms and comes in slices of about a ms. What is applied to new samples moves
-towards the estimate with a limited speed (`Pace`), so that poses do not jump.
+towards the estimate with a limited speed, so that poses do not jump.
 """
 
 from __future__ import annotations
@@ -181,16 +181,12 @@ class WindowObservations:
     multipliers: Array | None = None  # (N, M) of the limits
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How fast a sequential calibration follows, and is applied."""
-
-    memory_s: float = 60.0  # [s] of windows after which one counts 1/e
-    delay: float = 0.005  # [s/s] Largest speed of the applied delay
-    turn: float = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
-    significant: float = 2.0
-    """[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
-    deviations, that is corrected: a smaller one may be the detector's."""
+_MEMORY_S = 60.0  # [s] of windows after which one counts 1/e
+_DELAY_SPEED = 0.005  # [s/s] Largest speed of the applied delay
+TURN_SPEED: Final = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
+_SIGNIFICANT = 2.0
+"""[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
+deviations, that is corrected: a smaller one may be the detector's."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +214,6 @@ class SequentialCalibration:
         settings: JointSpaceSettings,
         priors: CalibrationPriors | None = None,
         start: SelfCalibration | None = None,
-        pace: Pace | None = None,
     ) -> None:
         """Begin with the priors, or with a saved calibration.
 
@@ -231,7 +226,7 @@ class SequentialCalibration:
             CalibrationError: nothing is open.
         """
         priors = priors or DELAY_ALONE
-        self._problem, self._settings, self._pace = problem, settings, pace or Pace()
+        self._problem, self._settings = problem, settings
         self._limits = Limits(problem.space) if settings.limits else None
         self.unknowns = _opened(problem, priors)
         if not self.unknowns and priors.sigma_delay is None:
@@ -284,17 +279,15 @@ class SequentialCalibration:
     def corrections(self, seconds: float) -> Corrections:
         """Return what to apply to new samples, changed as much as the seconds since the last call allow."""
         wanted, delay = self._wanted()
-        most, step = self._pace.turn * seconds, self._pace.delay * seconds
+        most, step = TURN_SPEED * seconds, _DELAY_SPEED * seconds
         self._applied += np.clip(wanted - self._applied, -most, most)
         self._applied_delay += float(np.clip(delay - self._applied_delay, -step, step))
-        own: dict[str, dict[str, Array]] = {"heading": {}, "mounting": {}, "posture": {}}
-        for kind, item, part in items_of(self.unknowns):
-            own[kind][item] = self._applied[part]
+        own = [(kind, item, self._applied[part]) for kind, item, part in items_of(self.unknowns)]
         return Corrections(
             self._applied_delay,
-            {item: float(value[0]) for item, value in own["heading"].items()},
-            {item: so3.exp(value) for item, value in own["mounting"].items()},
-            own["posture"],
+            {item: float(value[0]) for kind, item, value in own if kind == "heading"},
+            {item: so3.exp(value) for kind, item, value in own if kind == "mounting"},
+            {item: value for kind, item, value in own if kind == "posture"},
         )
 
     def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
@@ -302,9 +295,9 @@ class SequentialCalibration:
         late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
-    def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
-        """Return the present estimate, as `calibrate` would; `significant` as in `Pace`, which has the default."""
-        return SelfCalibration(self._listed(significant), converged=self.windows > 0)
+    def as_self_calibration(self) -> SelfCalibration:
+        """Return the present estimate, as `calibrate` would."""
+        return SelfCalibration(self._quantities, converged=self.windows > 0)
 
     def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
@@ -341,7 +334,7 @@ class SequentialCalibration:
     def _account(self, seconds: float, information: Array, force: Array, energies: Array) -> None:
         if not all(np.isfinite(values).all() for values in (information, force, energies)):
             return
-        kept = max(0.0, 1 - seconds / self._pace.memory_s)
+        kept = max(0.0, 1 - seconds / _MEMORY_S)
         self._seconds = kept * self._seconds + seconds
         self._information = kept * self._information + information
         self._vector = kept * self._vector + information @ (self.y - self._mean) - force
@@ -358,33 +351,22 @@ class SequentialCalibration:
         """Weight of all windows: together they count as the effective seconds at most."""
         return min(1.0, EFFECTIVE_SECONDS / max(self._seconds, 1e-9))
 
-    def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
+    def _listed(self) -> tuple[Quantity, ...]:
         found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
-            moved = quantities_of(
-                self.unknowns,
-                self.y - self._mean,
-                hessian,
-                self._prior,
-                self._usual,
-                self._pace.significant if significant is None else significant,
-            )
-            means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
-            found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
+            moved = quantities_of(self.unknowns, self.y - self._mean, hessian, self._prior, self._usual, _SIGNIFICANT)
+            parts = zip(moved, items_of(self.unknowns), strict=True)
+            found += [replace(q, value=q.value + self._mean[own]) for q, (_, _, own) in parts]
         return tuple(found)
 
     def _wanted(self) -> tuple[Array, float]:
         """What is to be applied: known estimates and an observed delay, else what it began with."""
-        first, quantities = 0, self._quantities
-        wanted, delay = self._mean.copy(), self._begun
+        wanted, delay, quantities = self._mean.copy(), self._begun, self._quantities
         if self.delay:
-            if quantities[0].verdict is Verdict.OBSERVED:
-                delay = float(quantities[0].value[0])
-            quantities = quantities[1:]
-        for q in quantities:
-            own = slice(first, first + len(q.value))
-            first = own.stop
+            late, *quantities = quantities
+            delay = float(late.value[0]) if late.verdict is Verdict.OBSERVED else delay
+        for q, (_, _, own) in zip(quantities, items_of(self.unknowns), strict=True):
             if q.observed:
                 wanted[own] = q.value
         return wanted, delay

@@ -269,7 +269,7 @@ class Mounting(Unknown):
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Derivatives in the segment's axes."""
         turn = quat.right_jacobian(y.reshape(-1, 3))
-        return Changes(turns=each(np.broadcast_to(turn, (len(at.times), *turn.shape))))
+        return Changes(turns=each(np.broadcast_to(turn, (len(at.x), *turn.shape))))
 
 
 _LEAST_SHARE = 0.25  # Constant part of the errors, per sigma of a bias's prior, below which there is no bias
@@ -302,7 +302,7 @@ class ImageBias(Unknown):
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives by each landmark's own bias."""
-        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.times), len(self.items), 2, 2))))
+        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.x), len(self.items), 2, 2))))
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,7 @@ class Ankles(Unknown):
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives, equal for both feet in all frames."""
-        return Changes(feet=-np.ones((len(at.times), len(at.joints.feet), 1, 1)))
+        return Changes(feet=-np.ones((len(at.x), len(at.joints.feet), 1, 1)))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ the calibration and the first frame; both drift.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,15 +21,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 from rtof_kin.inertial.initial_poses import poses_from_sensors
-from rtof_kin.inertial.root_path import (
-    Contacts,
-    ContactSettings,
-    RootPath,
-    RootPathSettings,
-    contact_points,
-    detect_contacts,
-    root_path,
-)
+from rtof_kin.inertial.root_path import Contacts, RootPath, contact_points, detect_contacts, root_path
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -40,12 +32,10 @@ _LONG = 1.0  # [s] of that, or without contact, that causes a warning
 
 @dataclass(frozen=True)
 class SensorsAloneSettings:
-    """Settings of frames, contacts and root path."""
+    """Settings of the frames."""
 
     rate_hz: float = 60.0
     """[Hz] Frame rate; the sensors' rate where that is lower."""
-    contacts: ContactSettings = field(default_factory=ContactSettings)
-    path: RootPathSettings = field(default_factory=RootPathSettings)
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz < np.inf:
@@ -96,8 +86,8 @@ def reconstruct_from_sensors(
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
     start = poses_from_sensors(skeleton, bone_imus)
-    contacts = detect_contacts(start, bone_imus, skeleton, settings.contacts)
-    path = root_path(start, bone_imus, contacts, skeleton, ankle_height, settings.path)
+    contacts = detect_contacts(start, bone_imus, skeleton)
+    path = root_path(start, bone_imus, contacts, skeleton, ankle_height)
     start = _on_path(start, path, contacts, skeleton)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
     stand = contact_points(contacts, ankles, ankle_height)

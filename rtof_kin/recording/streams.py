@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
 from rtof_kin.core.files.folder import path_inside
@@ -23,9 +21,6 @@ from rtof_kin.data.imu import ImuSequence, UnitCheck
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
-
-if TYPE_CHECKING:
-    from rtof_kin.recording.recording import Recording
 
 Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
 ALL: Final = slice(None)
@@ -96,71 +91,6 @@ class Streams:
                     f"{what} times run from {other[0]:g} to {other[-1]:g} s, those of the "
                     f"{first} from {times[0]:g} to {times[-1]:g} s; shift them to one clock"
                 )
-
-
-class RecordingSource(ABC):
-    """A recording of which any span of time can be had: a `Recording` in memory, or a `RecordingReader` of its folder.
-
-    Its time axis is that of the frames of its first camera, or of the samples of its sensors.
-    """
-
-    name: str  #: Title in reports
-
-    @property
-    @abstractmethod
-    def streams(self) -> Streams:
-        """All that changes over time."""
-
-    @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-        return None if self.streams.keypoints is None else self.streams.keypoints.times
-
-    @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self.streams.imus is not None
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-        first = self.streams.keypoints or self.streams.imus
-        assert first is not None  # a recording has either
-        return first.times
-
-    @abstractmethod
-    def between(self, start_s: float, stop_s: float) -> Recording:
-        """Return what was recorded in a closed interval; see `Recording.between`."""
-
-    @abstractmethod
-    def whole(self) -> Recording:
-        """Return all of it in memory."""
-
-    @abstractmethod
-    def digest(self) -> str:
-        """Return the SHA-256 of all that is computed from; see `Recording.digest`."""
-
-    @property
-    def usual_mode(self) -> Mode:
-        """Mode that uses all that was recorded: rtof, rto without IMUs, imu without a camera."""
-        if self.frame_times is None:
-            return "imu"
-        return "rtof" if self.has_sensors else "rto"
-
-    @property
-    def start_s(self) -> float:
-        """First instant, s."""
-        return float(self.times[0])
-
-    @property
-    def stop_s(self) -> float:
-        """Last instant, s."""
-        return float(self.times[-1])
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate, Hz, from the median step; 60 for a single sample."""
-        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
 
 
 Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Array]]]

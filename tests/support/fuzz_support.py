@@ -42,7 +42,6 @@ from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_moti
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
 from rtof_kin.formats.gait_reference import read_gait_reference, write_gait_reference
-from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
 from rtof_kin.formats.opensim import read_opensim_table, write_mot
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -264,7 +263,6 @@ READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
     written("motion.h5", "motion.h5", lambda p: write_motion(p, motion()), Motion.load),
-    written("joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()), read_joint_trajectory_csv),
     given(
         "object npz",
         "a.npz",
