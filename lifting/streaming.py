@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.source import Source
 from rtof_kin.core.array_types import Array, Mask
@@ -63,17 +62,14 @@ class StreamingLifter:
             flip: average with the mirrored scene: slower, and more accurate.
 
         Raises:
-            InvalidInputError: the lifter's model does not stream; too few landmarks are joints of the
-                lifter; `joint_offsets`, `floor_height`, `lookaheads` or `history_s` are wrong.
+            InvalidInputError: too few landmarks are joints of the lifter; `joint_offsets`, `floor_height`,
+                `lookaheads` or `history_s` are wrong.
         """
-        description = lifter.description
-        if description.network.model != RAYS:
-            raise InvalidInputError(f"a lifter of kind {description.network.model} does not stream; use predict")
         if not history_s >= 0 or not all(0 <= k == int(k) for k in lookaheads):
             raise InvalidInputError(
                 f"history_s {history_s:g}, lookaheads {tuple(lookaheads)}: give seconds and frames, not negative"
             )
-        self._lifter, self._camera, self._body = lifter, camera, description.body
+        self._lifter, self._camera, self._body = lifter, camera, lifter.description.body
         self._centre = camera.center_world
         self._names = checked_names("landmark names", lifter.names if names is None else names)
         joints = [j for j, name in enumerate(lifter.names) if name in self._names]
@@ -86,7 +82,7 @@ class StreamingLifter:
         self._bones, self._height = lifter.bones_of(joint_offsets), camera_height(camera, floor_height)
         self._R_bone_shared = lifter.shared_frames(joint_offsets)
         self._lookaheads, self._history, self._flip = tuple(map(int, lookaheads)), history_s, flip
-        self._frames = _Frames(len(lifter.names), len(self._body.sensors), camera)
+        self._frames = _Frames(len(lifter.names), len(self._body.sensors))
 
     @property
     def delay_s(self) -> float:
@@ -216,11 +212,10 @@ class StreamingLifter:
 class _Frames:
     """Frames in the order of their times."""
 
-    def __init__(self, joints: int, sensors: int, camera: Camera) -> None:
+    def __init__(self, joints: int, sensors: int) -> None:
         shapes = ((), (joints, 3), (joints,), (2, sensors, 3), (sensors,))
         types = (float, np.float32, bool, np.float32, bool)
         self._arrays = [np.zeros((0, *shape), dtype) for shape, dtype in zip(shapes, types, strict=True)]
-        self._R_camera_world = camera.R_camera_world.astype(np.float32)
 
     @property
     def times(self) -> Array:
@@ -249,5 +244,4 @@ class _Frames:
     def source(self) -> Source:
         """Return all frames."""
         times, rays, seen, axes, sensed = self._arrays
-        picture = np.zeros((len(times), seen.shape[1], 2), np.float32)
-        return Source(times, rays, seen, axes, sensed, picture, self._R_camera_world)
+        return Source(times, rays, seen, axes, sensed)

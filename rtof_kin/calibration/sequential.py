@@ -362,7 +362,7 @@ class SequentialCalibration:
 
     def _wanted(self) -> tuple[Array, float]:
         """What is to be applied: known estimates and an observed delay, else what it began with."""
-        wanted, delay, quantities = self._mean.copy(), self._begun, self._quantities
+        wanted, delay, quantities = self._mean.copy(), self._begun, list(self._quantities)
         if self.delay:
             late, *quantities = quantities
             delay = float(late.value[0]) if late.verdict is Verdict.OBSERVED else delay

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from rtof_kin.live.clock_map import VIDEO, ClockMap, SessionClock, with_time
+from rtof_kin.live.clock_map import VIDEO, ClockMap, SessionClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 
 OFFSET = 1234.5
@@ -76,7 +76,6 @@ def test_single_stamp_off_the_line_is_left_out() -> None:
     pairs = [(t + (50 if i == 100 else 0), t + 0.01) for i, t in enumerate(np.arange(0, 3, 0.01))]
     times = mapped(clock_map, pairs)
     assert list(np.flatnonzero(np.isnan(times))) == [100]
-    assert clock_map.left_out == 1
     assert clock_map.notices(3.0) == []
 
 
@@ -135,10 +134,3 @@ def test_without_the_common_clock_this_machines_clock_is_taken() -> None:
     assert times[-1] == pytest.approx(904.9)
     late = clock.arrived("lsl", sample(7.0, "b"), 905.0)
     assert late.time == pytest.approx(905.0)
-
-
-def test_time_is_replaced_in_samples_of_both_kinds() -> None:
-    for one in (sample(1.0), sample(1.0, VIDEO)):
-        assert with_time(one, 1.0) is one
-        assert with_time(one, 2.0).time == 2.0
-        assert type(with_time(one, 2.0)) is type(one)

@@ -29,7 +29,7 @@ def checked(samples: list[ImuSample]) -> list[str]:
     return sentences
 
 
-def at_rest(seconds: float = 3.0) -> list[ImuSample]:
+def at_rest(seconds: float = 5.0) -> list[ImuSample]:
     """One sensor that lies still on its side."""
     rng = np.random.default_rng(0)
     R = so3.exp(np.array([1.0, 0.3, 0.2]))
@@ -62,7 +62,7 @@ def test_order_of_the_quaternion_is_told_once(samples: list[ImuSample]) -> None:
 
 
 def test_sensors_of_one_source_share_a_sentence() -> None:
-    wrong = [replace(s, f_sensor=s.f_sensor / 9.80665) for s in imus(3.0)]
+    wrong = [replace(s, f_sensor=s.f_sensor / 9.80665) for s in imus(5.0)]
     (sentence,) = checked(wrong)
     for name in demo().calibration.sensors:
         assert name in sentence
