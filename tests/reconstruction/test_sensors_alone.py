@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,11 @@ from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.inertial.root_path import ContactSettings, detect_contacts
+from rtof_kin.reconstruction import sensors_alone
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_times
+from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.figures import TRUTH, skeletons
@@ -140,9 +143,10 @@ def test_low_pelvis_is_warned_of() -> None:
     assert "pelvis is low" in warning
 
 
-def test_flight_is_warned_of(walk: Motion) -> None:
-    strict = replace(SensorsAloneSettings().contacts, shortest=5.0)
-    result = solved(recorded(walk), replace(SETTINGS, sensors_alone=SensorsAloneSettings(contacts=strict)))
+def test_flight_is_warned_of(walk: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    strict = partial(detect_contacts, settings=ContactSettings(shortest=5.0))
+    monkeypatch.setattr(sensors_alone, "detect_contacts", strict)
+    result = solved(recorded(walk), SETTINGS)
     (warning,) = result.warnings
     assert "contact for 2.5 s" in warning
     assert np.linalg.norm(shift(result, walk)[-1]) < 0.3
@@ -190,8 +194,6 @@ def test_mode_names_the_input_that_it_lacks(walk: Motion) -> None:
         solved(replace(recording, calibration=None))
     with pytest.raises(InvalidInputError, match="joint space"):
         solved(recording, ReconstructionSettings(fragment=CartesianSettings()))
-    with pytest.raises(InvalidInputError, match="rate_hz"):
-        SensorsAloneSettings(rate_hz=0.0)
 
 
 def test_fragment_solver_names_the_input_that_it_lacks(walked: Reconstruction) -> None:
