@@ -26,8 +26,7 @@ from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 def summary_after(cli: Any, recording: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:
     """Summary and output of `reconstruct` with options."""
-    done = cli("reconstruct", recording, "-o", out, "--no-figures", "--frames", "16", *options)
-    assert done.code == 0
+    done = cli.ok("reconstruct", recording, "-o", out, "--no-figures", "--frames", "16", *options)
     return json.loads((out / "summary.json").read_text()), done.out
 
 
@@ -184,8 +183,7 @@ def test_help_is_that_of_the_docstring(cli: Any) -> None:
     for purpose, commands in COMMANDS.items():
         assert purpose in cli("--help").out
         for name in commands:
-            done = cli(name, "--help")
-            assert done.code == 0
+            done = cli.ok(name, "--help")
             assert f"Usage: rtof-kin {name}" in done.out
             assert len(done.out) > 300, name
 
