@@ -25,6 +25,7 @@ from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.resources import model_path
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks, recognise
 from rtof_kin.vision.layouts import mirrored
@@ -86,7 +87,7 @@ def _row(
 
 def _nearest_points(adapter: LandmarkRegression, layout: str, uv: Array) -> RegressedLandmarks:
     """The plain mapping of detectors.toml: each joint at the nearest point, or between two."""
-    data, points = tomllib.loads(adapter.table.path.read_text()), adapter.table.layout(layout).points
+    data, points = tomllib.loads(model_path("detectors.toml").read_text()), adapter.table.layout(layout).points
     at: dict[str, Array] = {}
     for joint, lists in data["naive"].items():
         for change in (str, mirrored):

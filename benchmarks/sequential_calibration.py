@@ -178,14 +178,16 @@ class StandIn:
                 FRAMES,
                 solver,
                 prepared.guess,
-                prepared.keypoints,
+                prepared.recording.video,
                 native.resample(self.times),
                 places=native.joints,
             )
             for _ in range(2)
         )
         self.problem = again.problem
-        self.given = CalibrationObservations.of(self.data, self.times)
+        self.given = CalibrationObservations(
+            self.times, self.data.rows, self.data.constant, self.data.a_world, self.data.w_acceleration
+        )
         slow = low_passed(even_noise(native), solver)
         assert slow is not None
         self._sensors = slow
@@ -297,13 +299,7 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
                 row["slices"] = len(run.seconds) / max(found.windows, 1)
             yield row
         if (case.case, variant) in BATCH:
-            batch = calibrate(
-                replace(prepared.recording, keypoints=prepared.keypoints),
-                prepared.guess,
-                VARIANTS[variant],
-                stand_in.settings,
-                FRAMES,
-            )
+            batch = calibrate(prepared.recording, prepared.guess, VARIANTS[variant], stand_in.settings, FRAMES)
             yield {**about, "how": "batch", "errors": errors(batch, truths)}
 
 

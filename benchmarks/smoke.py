@@ -21,7 +21,7 @@ SECONDS = 6.0
 CASES = {
     "rtof, joint": ("rtof", ReconstructionSettings()),
     "rto, joint": ("rto", ReconstructionSettings()),
-    "rtof, Cartesian": ("rtof", ReconstructionSettings(fragment=CartesianSettings(backend="realtime"))),
+    "rtof, Cartesian": ("rtof", ReconstructionSettings(fragment=CartesianSettings())),
 }
 BOUNDS = {
     "mpjpe_rr_mm": (5.0, 120.0),

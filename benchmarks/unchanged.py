@@ -43,7 +43,7 @@ STEPS: list[tuple[str, str]] = [
     ("long", "reconstruct IN/long -o OUT"),
     ("bare/rtof", "reconstruct IN/short -o OUT"),
     ("bare/rto", "reconstruct IN/short -o OUT --mode rto"),
-    ("bare/paper", "reconstruct IN/short -o OUT --paper --backend realtime"),
+    ("bare/paper", "reconstruct IN/short -o OUT --paper"),
     *((f"people/{name}", f"reconstruct IN/{name} -o OUT") for name in ("gait_1", "gait_2", "gait_3")),
     *((f"visits/{i}/{j}", f"reconstruct IN/squat_{i}_{j} -o OUT") for i in (1, 2) for j in (1, 2, 3)),
     ("analyse/demo", "report RUN/demo/rtof -o OUT.html --analysis OUT --weight 70 --no-figures"),

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from lifting.body import Body, bone_groups
 from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.models import model_of
+from lifting.windows import sizes
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
@@ -100,7 +100,7 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
         description = _description(text, {name: value.double().numpy() for name, value in prior.items()})
     except (ValueError, TypeError, KeyError, AttributeError, InvalidInputError) as error:
         raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
-    network = model_of(description.network.model).network(description.network)
+    network = TemporalNetwork(description.network)
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:
@@ -138,7 +138,9 @@ def _read(path: Path) -> dict[str, Any]:
 def _description(text: str, prior: dict[str, Array]) -> LifterDescription:
     """Parse and check a description; `ValueError` and others if it is wrong."""
     raw = json.loads(text)
-    own, shape = raw["body"], raw["network"]
+    own, shape = raw["body"], dict(raw["network"])
+    if (kind := shape.pop("model", "rays")) != "rays":  # earlier versions had another one
+        raise ValueError(f"a network of the kind {kind}, which this version does not have; train again")
     names, sensors = tuple(map(str, own["names"])), tuple(map(str, own["sensors"]))
     parents, bones = tuple(map(int, own["parents"])), tuple(map(float, own["nominal_bones"]))
     body = Body(names, parents, bones, sensors)
@@ -153,7 +155,7 @@ def _description(text: str, prior: dict[str, Array]) -> LifterDescription:
         raise ValueError("the sensors' segments are not among the joints")
     if not {body.mirrored[j] for j in body.sensor_joints} <= set(body.sensor_joints):
         raise ValueError("a sensor's segment has no counterpart on the other side")
-    if (network.inputs, network.constants, network.outputs) != model_of(network.model).sizes(body):
+    if (network.inputs, network.constants, network.outputs) != sizes(body):
         raise ValueError("the network's inputs or outputs do not fit the joints")
     if not 1 <= network.channels <= _MAX_CHANNELS:
         raise ValueError(f"{network.channels} channels")

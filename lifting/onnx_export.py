@@ -16,11 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from lifting.body import Body, bone_groups
-from lifting.model import TemporalNetwork
-from lifting.models import RAYS, FoldedNetwork
+from lifting.model import FoldedNetwork, TemporalNetwork
 from lifting.predict import MIN_JOINTS, Lifter
 from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.packages import optional
 
@@ -31,7 +29,7 @@ OPSET: Final = 17
 
 
 class LifterGraph(nn.Module):
-    """Encoding, network and decoding of the package's own model, as a function of arrays."""
+    """Encoding, network and decoding as a function of arrays."""
 
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
         """Take a network in evaluation mode; `flip` averages with the mirrored scene."""
@@ -89,18 +87,14 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
     """Write a lifter as ONNX.
 
     Args:
-        lifter: of the package's own model. flip: average with the mirrored scene: a third slower, and more accurate.
+        flip: average with the mirrored scene: a third slower, and more accurate.
 
     Raises:
-        InvalidInputError: the lifter is of another model.
         OutputExistsError: the file exists and must not be overwritten.
         RtofError: the package `onnx` is not installed, or the file cannot be written.
     """
-    path, description = Path(path), lifter.description
-    if description.network.model != RAYS:
-        raise InvalidInputError(f"a lifter of kind {description.network.model} has no ONNX form")
+    path, body = Path(path), lifter.description.body
     onnx = optional("onnx", "onnx", "writing ONNX")
-    body = description.body
     inputs, outputs = (INPUTS, OUTPUTS) if body.sensors else (INPUTS[:4], OUTPUTS[:3])
     with new_file(path, overwrite) as whole:
         with warnings.catch_warnings(), torch.no_grad():

@@ -11,10 +11,9 @@ import torch
 from numpy.typing import ArrayLike
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
-from lifting.model import TemporalNetwork, torch_threads
-from lifting.models import RAYS, FoldedNetwork, model_of
+from lifting.model import FoldedNetwork, TemporalNetwork, torch_threads
 from lifting.source import Source
-from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
+from lifting.windows import SIGMA_TURN, Estimate, decode, encode, orthonormal, rotations
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array, Mask
@@ -143,7 +142,7 @@ class Lifter:
     def lift_windows(
         self, source: Source, times: Array, bones: Array, height: float, flip: bool = True
     ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Estimate the poses at B times, s; what the model does not estimate is NaN.
+        """Estimate the poses at B times, s; orientations are NaN for a body without sensors.
 
         Bones (3 G,), m, see `bones_of`, and the camera's height over the floor, m, may be NaN.
 
@@ -152,19 +151,14 @@ class Lifter:
             segments' shared frames; their sigma (B, J), rad; whether enough joints were seen (B,).
         """
         body, network = self.description.body, self.network
-        model = model_of(network.config.model)
         with torch_threads(1), torch.inference_mode():
             size, estimated = network.receptive_field(), network.estimated()
-            rate_hz, picture = self.description.rate_hz, network.config.model != RAYS
-            windows = source.windows(times, size, estimated, rate_hz, bones, height, picture)
-            encoded = model.encode(body, windows)
-            if network.config.model == RAYS:
-                if flip not in self._folded:
-                    self._folded[flip] = FoldedNetwork(body, network, flip)
-                output = self._folded[flip](encoded.features, encoded.constants)
-            else:
-                output = model.answer(body, network, encoded, flip)
-            arrays = _arrays(model.decode(body, output, encoded))
+            windows = source.windows(times, size, estimated, self.description.rate_hz, bones, height)
+            encoded = encode(body, windows)
+            if flip not in self._folded:
+                self._folded[flip] = FoldedNetwork(body, network, flip)
+            output = self._folded[flip](encoded.features, encoded.constants)
+            arrays = _arrays(decode(body, output, encoded))
             enough = windows.seen.any(dim=1).sum(dim=1) >= MIN_JOINTS
         return *arrays, enough.numpy()
 

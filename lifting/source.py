@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from lifting.body import Body
-from lifting.windows import Picture, Windows
+from lifting.windows import Windows
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -34,8 +34,6 @@ class Source:
     axes: NDArray[np.float32]
     """(T, 2, S, 3) x and z axes in world of the segments that may carry sensors; zeros where unknown."""
     sensed: Mask  #: (T, S)
-    picture: NDArray[np.float32]  #: (T, J, 2) as in `Picture`; zeros where unseen
-    R_camera_world: NDArray[np.float32]  #: (3, 3)
 
     @classmethod
     def of(
@@ -53,8 +51,7 @@ class Source:
             R_bone_shared: (J, 3, 3) frame of each segment whose axes are taken; None for the segments' own.
         """
         keypoints = keypoints.select(body.names)
-        camera = keypoints.camera
-        rays = camera.rays_world(keypoints.uv_px)
+        rays = keypoints.camera.rays_world(keypoints.uv_px)
         seen = keypoints.seen & np.isfinite(rays).all(axis=-1)
         rays = np.where(seen[..., None], rays, 0.0)
         sensed = np.zeros((len(keypoints), len(body.sensors)), bool)
@@ -70,10 +67,7 @@ class Source:
                         R = R @ R_bone_shared[body.names.index(joint)]
                     sensed[:, s] = known
                     axes[known, :, s] = R[known][..., [0, 2]].swapaxes(1, 2)
-        middle = np.array([camera.width_px, camera.height_px]) / 2
-        xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
-        rays32, xy32, R_camera_world = (x.astype(np.float32) for x in (rays, xy, camera.R_camera_world))
-        return cls(keypoints.times, rays32, seen, axes, sensed, xy32, R_camera_world)
+        return cls(keypoints.times, rays.astype(np.float32), seen, axes, sensed)
 
     def extended(self, count: int, rate_hz: float) -> Self:
         """Return the same with further frames, in which the last one moves on more and more slowly.
@@ -103,12 +97,9 @@ class Source:
             axes=moved(self.axes, moves[1]),
             seen=still(self.seen),
             sensed=still(self.sensed),
-            picture=still(self.picture),
         )
 
-    def windows(
-        self, times: Array, size: int, estimated: int, rate_hz: float, bones: Array, height: float, picture: bool = True
-    ) -> Windows:
+    def windows(self, times: Array, size: int, estimated: int, rate_hz: float, bones: Array, height: float) -> Windows:
         """Return the windows around B times, s, of the estimated frames.
 
         A landmark is interpolated between two frames where both saw it; before the first and after the last frame, that
@@ -118,15 +109,11 @@ class Source:
         instants = _Instants(self.times, at, near=0.1 / rate_hz)
         B, W, S = *at.shape, self.sensed.shape[1]
         axes = instants.interpolated(self.axes.reshape(len(self.axes), 2 * S, 3)).reshape(B, 3, W, 2, S)
-        image: Picture | None = None
-        if picture:
-            R_camera = torch.from_numpy(self.R_camera_world).expand(B, 3, 3)
-            image = Picture(torch.from_numpy(instants.interpolated(self.picture)), R_camera)
         arrays = (instants.interpolated(self.rays), instants.known(self.seen), axes, instants.known(self.sensed))
         rays, seen, turned, sensed = map(torch.from_numpy, arrays)
         height_m = torch.full((B,), height)
         bones_m = torch.from_numpy(bones).float().expand(B, -1)
-        return Windows(rays, seen, bones_m, height_m, turned, sensed, estimated, image)
+        return Windows(rays, seen, bones_m, height_m, turned, sensed, estimated)
 
 
 class _Instants:

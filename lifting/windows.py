@@ -40,14 +40,6 @@ with spread b has a density proportional to ``b^-n exp(-|e| / b)``, for n = 1 La
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Image of the landmarks, for a lifter in the camera's frame."""
-
-    xy: Tensor  #: (B, 2, W, J) right of and below the image's middle, in halves of the image's width
-    R_camera_world: Tensor  #: (B, 3, 3)
-
-
-@dataclass(frozen=True)
 class Windows:
     """Observations in B windows of W frames."""
 
@@ -58,21 +50,14 @@ class Windows:
     axes_world: Tensor  #: (B, 3, W, 2, S) x and z axes in world of the segments that may carry sensors
     sensed: Tensor  #: (B, W, S) bool; axes that are not sensed are not read, but are finite
     estimated: int  #: Index of the frame that is estimated
-    picture: Picture | None = None  #: The image; None where it is not used
 
 
 @dataclass(frozen=True)
-class Encoded:
-    """Network input."""
+class EncodedWindows:
+    """Network input, and the frames of its output."""
 
     features: Tensor  #: (B, W, inputs)
     constants: Tensor  #: (B, constants)
-
-
-@dataclass(frozen=True)
-class EncodedWindows(Encoded):
-    """Network input, and the frames of its output."""
-
     R_view_world: Tensor  #: (B, 3, 3)
     R_ray_world: Tensor  #: (B, 3, 3)
     scale: Tensor  #: (B,) RMS distance of the landmarks from each frame's mean, in units of focal length

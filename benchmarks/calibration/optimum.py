@@ -44,8 +44,8 @@ def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lift
         shared_fragments([whole], priors, solver, settings.frames) for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
-    found = own.estimate(priors.rounds, overcount=priors.overcount)
-    back = again.estimate(priors.rounds, overcount=priors.overcount, start=truth)
+    found = own.estimate(priors.rounds)
+    back = again.estimate(priors.rounds, start=truth)
     energies = back.energies[0], found.energies[-1], back.energies[-1]
     apart = {"found - truth": found.y - truth, "from truth - found": back.y - found.y}
     return {

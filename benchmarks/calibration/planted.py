@@ -58,8 +58,7 @@ def _planted(seconds: float) -> Iterator[Job]:
             yield replace(one, case=case, floor=floor)
     for name in ERRORS:
         yield replace(one, case=name)
-    for name in ("size", "focal length"):  # observable only with a floor
-        yield replace(one, case=name, floor=True)
+    yield replace(one, case="size", floor=True)  # observable only with a floor
     for case in (KNOWN, PLAIN, ALL):
         yield replace(one, case=case, sensors="10")
 
@@ -86,8 +85,8 @@ def _harm(seconds: float) -> Iterator[Job]:
 
 
 def _measured(seconds: float) -> Iterator[Job]:
-    alone = [name for name in ERRORS if name not in ("delay", "clock drift")]
-    for names in (*alone, "size, proportions", "size, proportions, focal length, camera tilt"):
+    alone = [name for name in ERRORS if name != "delay"]
+    for names in (*alone, "size, proportions"):
         yield Job("measured", "", BUT + names, seconds=seconds)
 
 

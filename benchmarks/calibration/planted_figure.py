@@ -28,9 +28,9 @@ _MOST = 60
 def write_figure(path: Path, rows: Sequence[Row]) -> None:
     """Draw it as PNG."""
     rows = with_known(rows)
-    figure = Figure(figsize=(15, 15), layout="constrained")
-    recovered, growing = figure.subfigures(2, 1, height_ratios=[3, 1.2])
-    axes = recovered.subplots(3, 4)
+    figure = Figure(figsize=(15, 12), layout="constrained")
+    recovered, growing = figure.subfigures(2, 1, height_ratios=[2, 1.2])
+    axes = recovered.subplots(2, 3)
     for ax, error in zip(axes.flat, ERRORS, strict=True):
         _recovered(ax, rows, error)
     found = [dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True)) for ax in axes.flat]

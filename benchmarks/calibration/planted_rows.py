@@ -9,14 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks import harness
 from benchmarks.calibration import planting
 from benchmarks.calibration.planting import ERRORS, USUAL, Wrong
 from benchmarks.calibration.sessions import joined
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import Detector, SelfCalibration
+from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -164,11 +162,7 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
         known = reconstruct(given, lifter=_lifter(lifter), calibration=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
     calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
-    out |= {
-        "converged": calibration.converged,
-        "found": found(calibration, truths(recording, wrong, calibration.middle)),
-        "detector": detected(recording, calibration.detector),
-    }
+    out |= {"converged": calibration.converged, "found": found(calibration, truths(recording, wrong))}
     if job.case not in ERRORS or job.floor:
         for stage, found_before in {"before": None, "after": calibration}.items():
             made = reconstruct(given, lifter=_lifter(lifter), calibrate=False, calibration=found_before)
@@ -181,21 +175,11 @@ def _figures(metrics: Mapping[str, Any] | None) -> dict[str, float]:
     return {name: round(float(metrics[name]), 3) for name in FIGURES}
 
 
-def truths(recording: Recording, wrong: Wrong, middle: float | None = None) -> dict[tuple[str, str], Array]:
-    """Return the exact calibration, with the mean slip of sensors.
-
-    Args:
-        recording: without errors. wrong: what is planted.
-        middle: s, at which delay and headings, which drift, are given; that of the recording by default.
-    """
+def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
+    """Return the exact calibration, with the mean slip of sensors, of what is planted in a recording without errors."""
     known = planting.unknowns(recording, wrong)
     for joint, slip in planting.slips(recording).items():
         known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
-    if middle is not None:
-        since = middle - planting.middle(recording.video.times)
-        for (kind, _), value in known.items():
-            if kind in ("delay", "heading"):
-                value[0] += since * value[1]
     return known
 
 
@@ -208,7 +192,7 @@ def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) 
             continue
         truth = known[q.kind, q.item]
         for i in range(len(q.value)):
-            error = _error(q.kind, q.item, i)
+            error = q.kind if q.kind != "bones" else "size" if q.item == "all" else "proportions"
             columns = out.setdefault(error, {n: [] for n in ("item", "truth", "value", "sigma", "prior", "verdict")})
             numbers = (truth[i], q.value[i], q.sigma[i], q.sigma_prior[i])
             for name, number in zip(("truth", "value", "sigma", "prior"), numbers, strict=True):
@@ -216,33 +200,3 @@ def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) 
             columns["item"].append(q.item)
             columns["verdict"].append(q.verdict.value)
     return out
-
-
-def _error(kind: str, item: str, number: int) -> str:
-    """Return the name in `ERRORS` of a number of an unknown."""
-    if kind == "bones":
-        return "size" if item == "all" else "proportions"
-    return {("delay", 1): "clock drift", ("heading", 1): "heading drift"}.get((kind, number), kind)
-
-
-def detected(right: Recording, claimed: tuple[Detector, ...]) -> Row:
-    """Landmark after landmark: size [px] and memory [s] of the detector's errors, and as claimed.
-
-    The true size is the median's, as outliers are no part of it, of errors without their bias.
-    """
-    truth, seen = right.truth, right.video
-    assert truth is not None
-    columns: dict[str, list[float]] = {n: [] for n in ("sigma", "claimed", "memory", "claimed_memory")}
-    for detector in claimed:
-        j = truth.names.index(detector.landmark)
-        e = seen.uv_px[:, seen.names.index(detector.landmark)]
-        e = e - seen.camera.project(truth.p_world_joint[:, j])
-        sigma = float(np.nanmedian(np.linalg.norm(e - np.nanmedian(e, axis=0), axis=1))) / 1.177
-        kept = np.where(np.linalg.norm(e, axis=1, keepdims=True) < 4 * max(sigma, 1e-9), e, np.nan)
-        steps = np.nanmean((kept[1:] - kept[:-1]) ** 2) / max(np.nanvar(kept), 1e-12)
-        share = np.clip(1 - steps / 2, 1e-6, 0.999)
-        rate = 1 / float(np.median(np.diff(seen.times)))
-        values = sigma, detector.sigma_px, -1 / (rate * np.log(share)), detector.memory
-        for name, value in zip(columns, values, strict=True):
-            columns[name].append(round(float(value), 3))
-    return columns

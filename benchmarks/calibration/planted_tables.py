@@ -14,17 +14,11 @@ from rtof_kin.core.array_types import Array
 
 UNITS = {
     "delay": (1e3, "ms"),
-    "clock drift": (1e3, "ms/s"),
     "heading": (180 / np.pi, "deg"),
-    "heading drift": (60 * 180 / np.pi, "deg/min"),
     "mounting": (180 / np.pi, "deg"),
-    "lever arm": (1e3, "mm"),
     "size": (100.0, "%"),
     "proportions": (100.0, "%"),
     "image bias": (1.0, "px"),
-    "place": (1e3, "mm"),
-    "focal length": (100.0, "%"),
-    "camera tilt": (180 / np.pi, "deg"),
 }
 """Error -> factor and unit that people read."""
 STAGES = ("before", "after", "known")
@@ -43,7 +37,6 @@ def report(rows: Sequence[Row]) -> str:
         ("Each error alone, besides what is usually wrong", alone(planted)),
         ("What is found where all are wrong, and where only the usual is", together(planted)),
         ("Claimed standard deviations: truths within one and two", coverage(planted)),
-        ("Detector: sizes and memories claimed over true ones", detector(planted)),
         ("Length and variety (all at once, floor known)", lengths(rows)),
         ("Where sensors were calibrated well: change by calibrating", harm(rows)),
     ]
@@ -165,21 +158,6 @@ def coverage(rows: Sequence[Row]) -> str:
             lines.append([verdict.value, str(len(values)), *shares, f"{np.median(values) / 0.674:.2f}"])
     head = ["verdict", "numbers", "within 1 sigma, %", "2", "3", "median error over a normal one's"]
     return _table(head, lines)
-
-
-def detector(rows: Sequence[Row]) -> str:
-    """Claimed over true, median and quartiles over landmarks."""
-    lines = []
-    for (case, scale), own in _grouped(rows, "case", "scale").items():
-        if case not in (PLAIN, ALL):
-            continue
-        cells = []
-        for claimed, true in (("claimed", "sigma"), ("claimed_memory", "memory")):
-            pairs = [zip(r["detector"][claimed], r["detector"][true], strict=True) for r in own]
-            ratio = [c / t for pair in pairs for c, t in pair]
-            cells.append("{:.2f} / {:.2f} / {:.2f}".format(*np.percentile(ratio, [25, 50, 75])))
-        lines.append([str(case), f"x{scale:g}", *cells])
-    return _table(["wrong", "size", "sigma 25 / 50 / 75 %", "memory 25 / 50 / 75 %"], lines)
 
 
 def chosen_lengths(rows: Sequence[Row]) -> list[Row]:

@@ -34,8 +34,7 @@ class Error:
     size: float
     """Standard deviation at which it is planted, SI or px (see docs/calibration.md)."""
     kind: str
-    """The unknown that it belongs to, and its number there."""
-    part: slice
+    """The unknown that it belongs to."""
     draw: Callable[[Recording, Generator], Values]
     """Error of size one."""
     opened: Callable[[CalibrationPriors, float], CalibrationPriors]
@@ -81,40 +80,21 @@ def _opening(**factors: float | None) -> Callable[..., CalibrationPriors]:
     return opened
 
 
-def _drifting(priors: CalibrationPriors, sigma: float) -> CalibrationPriors:
-    """A drift needs the heading itself open, if only little."""
-    heading = priors.sigma_heading or np.radians(2.0)
-    return replace(priors, sigma_heading=heading, sigma_heading_drift=sigma)
-
-
 def _proportioned(priors: CalibrationPriors, sigma: float) -> CalibrationPriors:
     """Proportions need the size itself open, if only little."""
     return replace(priors, sigma_size=priors.sigma_size or 0.01, sigma_proportion=sigma)
 
 
-_FIRST, _SECOND, _ALL = slice(0, 1), slice(1, 2), slice(None)
 _BOTH = (-1.0, 1.0)
 ERRORS = {
-    "delay": Error(0.033, "delay", _FIRST, _one("video", (1.0,)), _opening(sigma_delay=1)),
-    "clock drift": Error(1e-3, "delay", _SECOND, _one("video", _BOTH), _opening(sigma_clock_drift=1)),
-    "heading": Error(np.radians(10.0), "heading", _FIRST, _items(_sensors, 1), _opening(sigma_heading=1)),
-    "heading drift": Error(np.radians(10.0) / 60, "heading", _SECOND, _items(_sensors, 1), _drifting),
-    "mounting": Error(np.radians(6.0), "mounting", _ALL, _items(_sensors, 3), _opening(sigma_swing=1, sigma_twist=1)),
-    "lever arm": Error(0.03, "lever arm", _ALL, _items(_sensors, 3), _opening(sigma_lever_arm=1)),
-    "size": Error(0.03, "bones", _FIRST, _one("all", _BOTH), _opening(sigma_size=1)),
-    "proportions": Error(0.03, "bones", _FIRST, _items(lambda recording: tuple(BONE_GROUPS), 1), _proportioned),
-    "image bias": Error(6.0, "image bias", _ALL, _biases, _opening(sigma_image_bias=1)),
-    "place": Error(0.025, "place", _ALL, _items(_landmarks, 3), _opening(sigma_place=1)),
-    "focal length": Error(0.02, "focal length", _ALL, _one("camera", _BOTH), _opening(sigma_focal=1)),
-    "camera tilt": Error(
-        np.radians(1.0),
-        "camera tilt",
-        _ALL,
-        lambda recording, rng: {"camera": rng.standard_normal(3)},
-        _opening(sigma_tilt=1),
-    ),
+    "delay": Error(0.033, "delay", _one("video", (1.0,)), _opening(sigma_delay=1)),
+    "heading": Error(np.radians(10.0), "heading", _items(_sensors, 1), _opening(sigma_heading=1)),
+    "mounting": Error(np.radians(6.0), "mounting", _items(_sensors, 3), _opening(sigma_swing=1, sigma_twist=1)),
+    "size": Error(0.03, "bones", _one("all", _BOTH), _opening(sigma_size=1)),
+    "proportions": Error(0.03, "bones", _items(lambda recording: tuple(BONE_GROUPS), 1), _proportioned),
+    "image bias": Error(6.0, "image bias", _biases, _opening(sigma_image_bias=1)),
 }
-"""Errors by name; the clock drift is that of a 59.94 Hz video stamped with 60 Hz."""
+"""Errors by name."""
 USUAL = {"delay": 0.045, "mounting": np.radians(2.0), "image bias": 6.0}
 """Errors of every realistic recording, with their sizes."""
 
@@ -135,21 +115,16 @@ def unknowns(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]
     """Kind and item of every unknown that a calibration may have -> its truth, zeros included."""
     sensors, landmarks = _sensors(recording), _landmarks(recording)
     items = {
-        "delay": (("video",), 2),
-        "heading": (sensors, 2),
+        "delay": (("video",), 1),
+        "heading": (sensors, 1),
         "mounting": (sensors, 3),
-        "lever arm": (sensors, 3),
         "bones": (("all", *BONE_GROUPS), 1),
         "image bias": (landmarks, 2),
-        "place": (landmarks, 3),
-        "focal length": (("camera",), 1),
-        "camera tilt": (("camera",), 3),
     }
     found = {(kind, item): np.zeros(w) for kind, (names, w) in items.items() for item in names}
     for name, values in wrong.items():
-        error = ERRORS[name]
         for item, value in values.items():
-            found[error.kind, item][error.part] += value
+            found[ERRORS[name].kind, item] += value
     whole = found["bones", "all"]
     for group in BONE_GROUPS:
         found["bones", group] = (1 + whole) * (1 + found["bones", group]) - 1
@@ -160,11 +135,12 @@ def planted(recording: Recording, wrong: Wrong) -> Recording:
     """A recording that is wrong by these errors; its truth stays.
 
     Args:
-        recording: without lag, with truth at the keypoints' times.
+        recording: without lag.
     """
     y = unknowns(recording, wrong)
-    recording = _with_misled_detector(recording, y)
-    recording = _with_other_camera(recording, y)
+    seen = recording.video
+    bias = np.array([y["image bias", name] for name in seen.names])
+    recording = replace(recording, keypoints=replace(seen, uv_px=seen.uv_px + bias))
     recording = with_late_video(recording, y["delay", "video"])
     recording = with_turned_sensors(recording, y)
     factor = np.ones((len(recording.joint_offsets), 1))
@@ -173,72 +149,28 @@ def planted(recording: Recording, wrong: Wrong) -> Recording:
     return replace(recording, joint_offsets=recording.joint_offsets / factor)
 
 
-def _with_misled_detector(recording: Recording, y: Mapping[tuple[str, str], Array]) -> Recording:
-    """Points seen beside where they are, in the image and in their segments."""
-    seen, truth, skeleton = recording.video, _truth(recording), recording.skeleton
-    uv = seen.uv_px.copy()
-    for i, name in enumerate(seen.names):
-        joint, place = skeleton.landmarks[name]
-        (j,) = skeleton.index(joint)
-        R, p = truth.R_world_bone[:, j], truth.p_world_joint[:, j]
-        moved = place + y["place", name]
-        uv[:, i] += seen.camera.project(p + R @ moved) - seen.camera.project(p + R @ place)
-        uv[:, i] += y["image bias", name]
-    return replace(recording, keypoints=replace(seen, uv_px=uv))
-
-
 def _truth(recording: Recording) -> PoseSequence:
     assert recording.truth is not None
     return recording.truth
 
 
-def _with_other_camera(recording: Recording, y: Mapping[tuple[str, str], Array]) -> Recording:
-    """A camera believed shorter, and to look elsewhere from where it is."""
-    seen, turn = recording.video, so3.exp(-y["camera tilt", "camera"])
-    K = seen.camera.K.copy()
-    K[:2, :2] /= 1 + y["focal length", "camera"][0]
-    camera = replace(
-        seen.camera,
-        K=K,
-        R_camera_world=turn @ seen.camera.R_camera_world,
-        t_camera_world=turn @ seen.camera.t_camera_world,
-    )
-    return replace(recording, keypoints=replace(seen, camera=camera))
-
-
 def with_late_video(recording: Recording, y: Array) -> Recording:
-    """Time stamps that are late, and grow so from the middle on."""
+    """Time stamps that are late."""
     seen = recording.video
-    since = seen.times - middle(seen.times)
-    times = middle(seen.times) + y[0] + since / (1 - y[1])
-    return replace(recording, keypoints=replace(seen, times=times))
-
-
-def middle(times: Array) -> float:
-    """The time at which what drifts has its value."""
-    return float(times[0] + times[-1]) / 2
+    return replace(recording, keypoints=replace(seen, times=seen.times + y[0]))
 
 
 def with_turned_sensors(recording: Recording, y: Mapping[tuple[str, str], Array]) -> Recording:
-    """References turned, and turning; mounted otherwise, and elsewhere."""
-    own, imus = recording.calibration, recording.imus
+    """References turned; mounted otherwise."""
+    own = recording.calibration
     assert own is not None
-    assert imus is not None
-    since = imus.times - middle(recording.video.times)
-    heading, R = np.array([y["heading", joint] for joint in own.joints]), imus.R_inertial_sensor.copy()
-    for s, sensor in enumerate(own.sensors):
-        i, R_world_inertial = imus.names.index(sensor), own.R_world_inertial[s]
-        turn = so3.about_axis("z", -heading[s, 1] * since)
-        R[:, i] = R_world_inertial.T @ turn @ R_world_inertial @ R[:, i]
-    mounting = np.array([y["mounting", joint] for joint in own.joints])
-    levers = np.array([y["lever arm", joint] for joint in own.joints])
+    heading, mounting = (np.array([y[kind, joint] for joint in own.joints]) for kind in ("heading", "mounting"))
     calibration = replace(
         own,
         R_world_inertial=so3.about_axis("z", -heading[:, 0]) @ own.R_world_inertial,
         R_sensor_bone=own.R_sensor_bone @ so3.exp(-mounting),
-        p_bone_sensor=own.p_bone_sensor - levers,
     )
-    return replace(recording, imus=replace(imus, R_inertial_sensor=R), calibration=calibration)
+    return replace(recording, calibration=calibration)
 
 
 def slips(recording: Recording) -> Values:

@@ -58,7 +58,7 @@ def load(path: str) -> Lifter:
 
 
 def names_of(lifters: Sequence[str]) -> list[str]:
-    """Return the lifters' names in the tables: file and kind.
+    """Return the lifters' names in the tables.
 
     Raises:
         RtofError: two are called the same. Errors of reading them pass through.
@@ -67,7 +67,6 @@ def names_of(lifters: Sequence[str]) -> list[str]:
     for path in lifters:
         network = load(path).description.network
         name = Path(path).stem if path else "shipped"
-        name += "" if network.model == "rays" else f" ({network.model})"
         names.append(name + (", causal" if network.causal else ""))
     twice = {name for name in names if names.count(name) > 1}
     if twice:

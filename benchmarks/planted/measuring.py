@@ -40,8 +40,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import headline
-from rtof_kin.reporting.residuals import reprojection_errors
-from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.reporting.statistics import ReconstructionStatistics, reprojection_errors
 
 Row = dict[str, Any]
 BANDS = ("world", "relative", "angles")

@@ -15,11 +15,11 @@ from time import perf_counter
 from typing import Any
 
 from benchmarks.peers.fragments import Material
+from benchmarks.peers.ipopt import Ipopt
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.solvers.measuring import PAPER_FPS, Effort, Notify, spread
-from benchmarks.solvers.side_by_side import CARTESIAN_BACKENDS, IPOPT_CAP, JOINT_SETTINGS, Joint, N
+from benchmarks.solvers.side_by_side import IPOPT_CAP, JOINT_SETTINGS, Joint, N
 from rtof_kin.solve.fragment_solver import FragmentSolver
-from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
@@ -29,11 +29,8 @@ SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {
     "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
     "joint space, sigma given": JOINT_SETTINGS,
     "joint space, without limits": JointSpaceSettings(limits=False),
-    "joint space, IPOPT": JointSpaceSettings(backend="ipopt"),
-    **{f"cartesian, energy as printed, {name}": s for name, s in CARTESIAN_BACKENDS.items()},
-    "cartesian, IPOPT": CartesianSettings(backend="ipopt"),
-    "cartesian, real time": CartesianSettings(backend="realtime"),
-    "cartesian, bone lengths as constraints, IPOPT": CartesianSettings(bone_lengths="constraint", backend="ipopt"),
+    "cartesian, energy as printed, IPOPT": CartesianSettings.paper(),
+    "cartesian, IPOPT": CartesianSettings(),
 }
 
 
@@ -69,16 +66,16 @@ def by_settings(material: Material, effort: Effort, notify: Notify) -> list[dict
 
 
 def by_length(material: Material, effort: Effort, notify: Notify) -> list[dict[str, Any]]:
-    """New frames per second for every N, of both spaces and backends."""
+    """New frames per second for every N, of both spaces."""
     rows = []
     for frames in effort.lengths:
         row: dict[str, Any] = {"N": frames, "paper": PAPER_FPS[frames]}
         length = max(effort.frames, 2 * frames)
         m = material[:length]
         solvers: dict[str, CartesianSettings | JointSpaceSettings] = {
-            f"cartesian, {name}": settings for name, settings in CARTESIAN_BACKENDS.items()
+            "cartesian, IPOPT": CartesianSettings.paper(),
+            "joint, real time": JointSpaceSettings(),
         }
-        solvers["joint, real time"] = JointSpaceSettings()
         for name, settings in solvers.items():
             notify(f"N = {frames}: {name}")
             solver = FragmentSolver(m.skeleton, frames, settings, m.imus.joints)
@@ -139,7 +136,8 @@ def by_duration(material: Material, effort: Effort, notify: Notify) -> list[dict
         m = material.tiled(round(seconds * rate_hz))
         gc.collect()
         before, most, began = resident_mb(), 0.0, perf_counter()
-        for block in solver.stream(m.start, m.keypoints, m.imus):
+        guess, imus = solver._guess(m.start, m.keypoints, m.imus, None)
+        for block in solver._solver.run(guess, m.keypoints, imus, None, None):
             most = max(most, resident_mb() - before)
             del block
         took = perf_counter() - began

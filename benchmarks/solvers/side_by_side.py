@@ -13,12 +13,12 @@ import numpy as np
 
 from benchmarks.peers.cartesian import CartesianScene
 from benchmarks.peers.fragments import Answer, Fragment, Material, Trace
+from benchmarks.peers.ipopt import Ipopt
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
 from benchmarks.solvers.measuring import Choice, Effort, Entry, Notify, Row, compared, curve, rising, spread, summaries
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.solve.cartesian.solver import CartesianSolver
-from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.state import Limits
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -31,17 +31,12 @@ TIGHT, IPOPT_TIGHT = 1e-9, 1e-8
 1e-9 of the energy. Everywhere else they are those of the settings."""
 BASIN_MM = 1.0
 """Largest distance of a joint beyond which two answers count as different minima."""
-CARTESIAN_BACKENDS = {
-    "IPOPT": replace(CartesianSettings.paper(), backend="ipopt"),
-    "real time": replace(CartesianSettings.paper(), backend="realtime"),
-}
-"""The printed energy's settings for every backend."""
 JOINT_SETTINGS = JointSpaceSettings(sigma_reprojection=8.0)
 """The peers do not estimate sigma."""
 
 
 class Cartesian:
-    """The package's Cartesian solver with one of its backends."""
+    """The package's Cartesian solver by IPOPT."""
 
     def __init__(self, scene: CartesianScene, settings: CartesianSettings) -> None:
         """Build the same problem with other settings of the solver alone."""
@@ -100,16 +95,15 @@ def cartesian(material: Material, effort: Effort, notify: Notify) -> dict[str, A
     scene = CartesianScene(material, N, CartesianSettings.paper())
     choice = Choice.of(scene, effort, len(material.start))
     entries = peers(scene, effort, scipy_is_slow=False)
-    entries += [Entry(name, Cartesian(scene, s)) for name, s in CARTESIAN_BACKENDS.items()]
+    entries.append(Entry("IPOPT", Cartesian(scene, scene.settings)))
     rows, traces = compared(scene, entries, choice, notify)
     fragment = scene.fragment(choice.typical)
-    for name, settings in CARTESIAN_BACKENDS.items():
-        notify(f"{name}: energy against time")
+    notify("IPOPT: energy against time")
 
-        def capped(iterations: int, settings: CartesianSettings = settings) -> Cartesian:
-            return Cartesian(scene, replace(settings, max_iterations=iterations))
+    def capped(iterations: int) -> Cartesian:
+        return Cartesian(scene, replace(scene.settings, max_iterations=iterations))
 
-        traces[name] = rising(capped, fragment, range(1, 9), effort.runs)
+    traces["IPOPT"] = rising(capped, fragment, range(1, 9), effort.runs)
     return {
         "rows": summaries(rows, N // 2),
         "curves": {name: curve(scene, fragment, trace) for name, trace in traces.items()},

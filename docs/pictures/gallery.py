@@ -54,8 +54,8 @@ ENTRIES = (
     ),
     Entry(
         "rtof-kin view out/demo",
-        "[The motion in 3D](view.md) in the browser, with camera, sensors, bands, truth and curves; `--live` "
-        "shows `rtof-kin live`, `--html` writes one file.",
+        "[The motion in 3D](view.md) in the browser, with camera, sensors, bands, truth and curves; `--html` "
+        "writes one file.",
         "view.png",
         "The motion in the viewer, with its panel and curves",
     ),

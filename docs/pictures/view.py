@@ -11,7 +11,7 @@ from PIL import Image
 
 from docs.pictures.studio import DOCS, Studio, save
 from rtof_kin.view.local_server import address, local_server
-from rtof_kin.view.viewer import MotionFiles, MotionViewer
+from rtof_kin.view.viewer import MotionViewer, motion_files
 
 sys.path.append(str(DOCS.parent / "tests" / "support"))
 SIZE = 1400, 800
@@ -29,7 +29,7 @@ def make(studio: Studio) -> list[Path]:
 
     picture = studio.folder / "view.png"
     with (
-        MotionFiles(studio.demo) as files,
+        motion_files(studio.demo) as files,
         local_server(title="rtof_kin view") as server,
         MotionViewer(server, files) as viewer,
         BrowserPage(studio.folder / "view", *SIZE, flags=SOFTWARE_3D) as page,

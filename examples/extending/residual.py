@@ -78,7 +78,7 @@ def main() -> None:
 
     away = 0.3 * keypoints.camera.R_camera_world[2]
     start = replace(truth, p_world_joint=truth.p_world_joint + away)
-    for settings in (JointSpaceSettings(), CartesianSettings(backend="realtime")):
+    for settings in (JointSpaceSettings(), CartesianSettings()):
         solver = FragmentSolver(skeleton, frames=20, settings=settings, terms=[RANGE])
         for observed in ({}, {"anchor": PointData(values, sigma=0.05)}):
             solution = solver.solve(start, keypoints, observed=observed)

@@ -34,7 +34,7 @@ from lifting.training.noise import (
     with_errors,
     worn,
 )
-from lifting.windows import Picture, Windows
+from lifting.windows import Windows
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
@@ -257,13 +257,13 @@ class MotionBank:
         towards_root = torch.stack([ahead, torch.zeros_like(height), root_height - height], 1)
         p = pose.add_((moving.root + towards_root[:, :, None])[..., None])
         body = View(p[:, :, estimated], moving.axes, moving.offsets * factor[:, :, None])
-        rays, seen, picture = self._observe(p, towards_root, body, config, draw)
+        rays, seen = self._observe(p, towards_root, body, config, draw)
         bones = bones + config.bone_error * draw.normal(*bones.shape)
         bones = torch.where(draw.uniform(batch, 1) < config.hide_bones, torch.nan, bones)
         height = height + config.height_error * draw.normal(batch)
         height = torch.where(draw.uniform(batch) < config.hide_height, torch.nan, height)
         axes, sensed = self._sense(moving.carried, config.sensors, draw)
-        windows = Windows(rays, seen, bones, height, axes, sensed, estimated, picture)
+        windows = Windows(rays, seen, bones, height, axes, sensed, estimated)
         return Batch(windows, now, towards_root, moving.axes)
 
     def _motion(self, frames: Tensor, step: Tensor, config: AugmentConfig, draw: Draw) -> Moving:
@@ -363,8 +363,8 @@ class MotionBank:
 
     def _observe(
         self, p: Tensor, towards_root: Tensor, body: View, config: AugmentConfig, draw: Draw
-    ) -> tuple[Tensor, Tensor, Picture]:
-        """Rays (B, 3, W, J) in world, visibility and image of a camera that has the root in its image."""
+    ) -> tuple[Tensor, Tensor]:
+        """Rays (B, 3, W, J) in world and visibility for a camera that has the root in its image."""
         right = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_WIDTH
         down = (2 * draw.uniform(draw.batch) - 1) * config.off_axis * HALF_HEIGHT
         azimuth = torch.atan2(towards_root[:, 1], towards_root[:, 0]) + right.atan()
@@ -379,7 +379,7 @@ class MotionBank:
         xy, seen = add_noise(self.body, config.noise, xy, seen, draw, self.rate_hz, view)
         ray = torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
         world = torch.bmm(R_camera_world.transpose(1, 2), ray.flatten(2))
-        return world.reshape(p.shape), seen, Picture(xy / HALF_WIDTH, R_camera_world)
+        return world.reshape(p.shape), seen
 
 
 def _offsets(corpus: Corpus, clip: int, body: Offsets | None) -> Tensor:

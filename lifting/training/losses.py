@@ -16,12 +16,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from lifting.body import Body
-from lifting.model import TemporalNetwork
-from lifting.models import RAYS, model_of
+from lifting.model import TemporalNetwork, answer
 from lifting.training.corpus import Corpus
 from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.training.noise import SENSED_TRUNK, VALIDATION_NOISE, SensorConfig
-from lifting.windows import Estimate, rotations
+from lifting.windows import Estimate, decode, encode, rotations
 
 ROOT_WEIGHT: Final = 0.3  #: Weight of the root's distance relative to the mean joint distance
 TURN_WEIGHT: Final = 0.1  #: Weight of an angle of 1 rad relative to a mean joint distance of 1 m
@@ -96,19 +95,9 @@ _SENSED = SensorConfig(
 class Validation:
     """Fixed windows of the validation subjects; none if the corpus has no such subjects."""
 
-    def __init__(
-        self,
-        corpus: Corpus,
-        window: int,
-        device: torch.device,
-        count: int = 4096,
-        causal: bool = False,
-        model: str = RAYS,
-    ):
+    def __init__(self, corpus: Corpus, window: int, device: torch.device, count: int = 4096, causal: bool = False):
         """Draw the windows. window: frames per window. count: windows of each kind, evenly over the motion."""
-        self.model, self.body = model_of(model), corpus.body()
-        if not self.model.senses:
-            self.body = replace(self.body, sensors=())
+        self.body = corpus.body()
         self.batches: dict[str, Batch] = {}
         clips = corpus.clips("validation", required=False)
         if not clips:
@@ -129,8 +118,8 @@ class Validation:
         }
 
     def _estimate(self, network: TemporalNetwork, batch: Batch, flip: bool) -> Estimate:
-        encoded = self.model.encode(self.body, batch.windows)
-        return self.model.decode(self.body, self.model.answer(self.body, network, encoded, flip), encoded)
+        encoded = encode(self.body, batch.windows)
+        return decode(self.body, answer(self.body, network, encoded, flip), encoded)
 
 
 def _kinds(sensed: bool) -> dict[str, AugmentConfig]:

@@ -5,32 +5,30 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, fields, is_dataclass, replace
-from math import cos, exp, isfinite, log, pi
+from math import cos, isfinite, log, pi
 from pathlib import Path
-from typing import Any, ClassVar, Final, Generic, Self, TypeVar
+from typing import Any, Final, Generic, Self, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.optim import Adam, AdamW, Optimizer
+from torch.optim import AdamW
 
 from lifting import checkpoint
 from lifting.body import Body
 from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.models import RAYS, VIDEOPOSE3D, model_of
 from lifting.training import losses
 from lifting.training.corpus import Corpus
 from lifting.training.data import Batch, MotionBank
 from lifting.training.distributed import Workers
 from lifting.training.losses import Validation
-from lifting.training.noise import SensorConfig
 from lifting.training.settings import TrainConfig, prior_of_corpus
-from lifting.windows import Encoded, Estimate
+from lifting.windows import EncodedWindows, decode, encode, sizes
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SolverError
@@ -38,81 +36,6 @@ from rtof_kin.core.resources import lifter_path, model_path
 
 USUAL_RADIUS: Final = 0.4
 """First estimate of the RMS distance of a person's joints from their mean across the line of sight, m."""
-EPOCHS: Final = 60  #: Epochs of the published training; here an epoch is this share of the training
-DECAY: Final = 0.95  #: Factor on the published learning rate from epoch to epoch
-MOMENTUM: Final = (0.1, 0.001)  #: Published momentum of batch normalisation in the first epoch and after the last
-NEAREST: Final = 0.2  #: Least depth for the weight of a root, m
-
-
-class Recipe:
-    """AdamW with warm-up and cosine, clipped gradients, a running mean of the weights."""
-
-    regularised: ClassVar[bool] = True  #: Whether gradients are clipped and weights averaged
-
-    def __init__(self, config: TrainConfig, network: TemporalNetwork, body: Body):
-        """Set the first weights and make the optimiser."""
-        self.config, self.network = config, network
-        self.optimizer = self._prepare(body)
-
-    def _prepare(self, body: Body) -> Optimizer:
-        with torch.no_grad():
-            self.network.shrink.bias.copy_(first_answer(body))
-        config = self.config
-        return AdamW(self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
-
-    def set_rates(self, share: float) -> None:
-        """Set the learning rate after a share of the training: linear warm-up, then a cosine to 0."""
-        warm_up = self.config.warm_up
-        if share < warm_up:
-            self._set_learning_rate(max(share / warm_up, 0.01))
-        else:
-            self._set_learning_rate(0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0))))
-
-    def _set_learning_rate(self, factor: float) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * factor
-
-    def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
-        """Return the loss to minimise."""
-        return losses.lifting_loss(estimate, batch)
-
-    def limit(self) -> None:
-        """Clip the gradient."""
-        if self.regularised:
-            nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
-
-    def memory(self, steps: int) -> float:
-        """Return the factor of the running mean of the weights after a number of steps."""
-        return min(self.config.ema, (1 + steps) / (10 + steps)) if self.regularised else 0.0
-
-
-class Published(Recipe):
-    """VideoPose3D's: Adam (amsgrad) with a rate and a momentum that fall from epoch to epoch."""
-
-    regularised = False
-
-    def _prepare(self, body: Body) -> Optimizer:  # noqa: ARG002, of the base
-        return Adam(self.network.parameters(), self.config.learning_rate, amsgrad=True)
-
-    def set_rates(self, share: float) -> None:
-        """Set the learning rate and the momentum of batch normalisation."""
-        epoch = min(int(share * EPOCHS), EPOCHS - 1)
-        self._set_learning_rate(DECAY**epoch)
-        first, last = MOMENTUM
-        for layer in self.network.modules():
-            if isinstance(layer, nn.BatchNorm1d):
-                layer.momentum = first * exp(-epoch / EPOCHS * log(first / last))
-
-    def loss(self, estimate: Estimate, batch: Batch) -> Tensor:
-        """Return the mean joint distance plus that of the root weighted by 1 / depth."""
-        assert batch.windows.picture is not None
-        forward = batch.windows.picture.R_camera_world[:, 2]
-        depth = (forward * batch.root).sum(dim=1).clamp_min(NEAREST)
-        joints = losses.mean_joint_distance(estimate.pose, batch.pose)
-        return (joints + losses.root_distance(estimate.root, batch.root) / depth).mean()
-
-
-RECIPES: Final[Mapping[str, type[Recipe]]] = {RAYS: Recipe, VIDEOPOSE3D: Published}
 
 
 def first_answer(body: Body) -> Tensor:
@@ -136,23 +59,20 @@ class Prefetch(Generic[T]):
     cores. Use it in a ``with`` statement, which ends the thread.
     """
 
-    def __init__(self, make: Callable[[int], T], ahead: bool):
+    def __init__(self, make: Callable[[int], T]):
         """Prepare without computing."""
         self._make = make
-        self._pool = ThreadPoolExecutor(1, "windows") if ahead else None
+        self._pool = ThreadPoolExecutor(1, "windows")
         self._next: tuple[int, Future[T]] | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(cancel_futures=True)
 
     def __call__(self, step: int) -> T:
         """Return the result of a step, and begin with the next one."""
-        if self._pool is None:
-            return self._make(step)
         if self._next is None or self._next[0] != step:
             self._next = step, self._pool.submit(self._make, step)
         made = self._next[1].result()
@@ -187,11 +107,7 @@ class Run:
         self.config, self.workers, self.digest = config, workers, corpus.digest()
         self.prior = prior_of_corpus(corpus, config.prior) if workers.first else None
         self.corpus = corpus = corpus.in_shared_frames()
-        self.model, self.body = model_of(config.model), corpus.body()
-        self.augment = config.augment
-        if not self.model.senses:
-            self.body = replace(self.body, sensors=())
-            self.augment = replace(self.augment, sensors=SensorConfig(none=1.0))
+        self.body = corpus.body()
         if config.batch % workers.count:
             raise InvalidInputError(
                 f"training: a batch of {config.batch} windows cannot be shared evenly by "
@@ -201,10 +117,12 @@ class Run:
         workers.check_same("setting", config.fixed())
         torch.manual_seed(config.seed)
         layers = config.filter_widths, config.channels, config.dropout
-        shape = NetworkConfig(*self.model.sizes(self.body), *layers, config.causal, config.model)
-        self.network = self.model.network(shape).to(workers.device)
-        self.recipe = RECIPES[config.model](config, self.network, self.body)
-        self.averaged = self.model.network(shape).to(workers.device).eval()
+        shape = NetworkConfig(*sizes(self.body), *layers, config.causal)
+        self.network = TemporalNetwork(shape).to(workers.device)
+        with torch.no_grad():
+            self.network.shrink.bias.copy_(first_answer(self.body))
+        self.optimizer = AdamW(self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
+        self.averaged = TemporalNetwork(shape).to(workers.device).eval()
         self.averaged.load_state_dict(self.network.state_dict())
         self.forward = workers.forward(self.network)
         others = corpus.skeletons("train", config.skeletons) + shipped_skeleton(corpus)
@@ -212,26 +130,24 @@ class Run:
         self.size = self.network.receptive_field()
         self.validation: Validation | None = None
         if workers.first:
-            self.validation = Validation(
-                corpus, self.size, workers.device, config.validation_windows, config.causal, config.model
-            )
-        self.batches = Prefetch(self._draw, ahead=config.threads > 1)
+            self.validation = Validation(corpus, self.size, workers.device, config.validation_windows, config.causal)
+        self.batches = Prefetch(self._draw)
         self.started_from = ""
         self.steps, self.seconds, self.validated = 0, 0.0, 0
         self.losses: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
 
-    def _draw(self, step: int) -> tuple[Batch, Encoded]:
+    def _draw(self, step: int) -> tuple[Batch, EncodedWindows]:
         """This process's windows of a step, which depend on the seed and the step alone."""
         config, rank, count = self.config, self.workers.rank, self.workers.count
         whole = config.same_windows
         generator = torch.Generator(self.bank.device)
         generator.manual_seed(step_seed(config.seed, step, 0 if whole else rank))
         size = config.batch if whole else config.batch // count
-        batch = self.bank.draw(size, self.size, self.augment, generator, causal=config.causal)
+        batch = self.bank.draw(size, self.size, config.augment, generator, causal=config.causal)
         if whole and count > 1:
             batch = rows(batch, slice(rank, None, count))
-        return batch, self.model.encode(self.bank.body, batch.windows)
+        return batch, encode(self.bank.body, batch.windows)
 
     @property
     def share_done(self) -> float:
@@ -244,21 +160,29 @@ class Run:
     def step(self) -> None:
         """Learn from one batch."""
         start = time.perf_counter()
-        config, workers, recipe = self.config, self.workers, self.recipe
+        config, workers = self.config, self.workers
         torch.manual_seed(step_seed(config.seed, self.steps, workers.rank))  # of dropout
         batch, encoded = self.batches(self.steps)
-        recipe.set_rates(self.share_done)
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.learning_rate * self._rate_factor()
         with torch.autocast(workers.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.forward(encoded.features, encoded.constants)
-        estimate = self.model.decode(self.body, output, encoded)
-        recipe.optimizer.zero_grad(set_to_none=True)
-        recipe.loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
-        recipe.limit()
-        recipe.optimizer.step()
+        estimate = decode(self.body, output, encoded)
+        self.optimizer.zero_grad(set_to_none=True)
+        losses.lifting_loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
+        self.optimizer.step()
         self._average()
         self.losses.append(losses.position_loss(estimate, batch).detach())
         self.steps += 1
         self._spend(start)
+
+    def _rate_factor(self) -> float:
+        """Factor on the learning rate: linear warm-up, then a cosine to 0."""
+        warm_up, share = self.config.warm_up, self.share_done
+        if share < warm_up:
+            return max(share / warm_up, 0.01)
+        return 0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0)))
 
     def _spend(self, start: float) -> None:
         """Count the time since `start`, by the first process's clock."""
@@ -268,7 +192,7 @@ class Run:
     @torch.no_grad()
     def _average(self) -> None:
         """Update the running mean of weights and statistics."""
-        keep = self.recipe.memory(self.steps)
+        keep = min(self.config.ema, (1 + self.steps) / (10 + self.steps))
         mean, new = self.averaged.state_dict(), self.network.state_dict()
         floats = [k for k, v in mean.items() if v.is_floating_point()]
         torch._foreach_lerp_([mean[k] for k in floats], [new[k] for k in floats], 1 - keep)
@@ -336,7 +260,7 @@ class Run:
             "corpus": self.digest,
             "network": self.network.state_dict(),
             "averaged": self.averaged.state_dict(),
-            "optimizer": self.recipe.optimizer.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
             "steps": self.steps,
             "seconds": self.seconds,
             "validated": self.validated,
@@ -359,9 +283,9 @@ class Run:
         if other != mine or description.body.names != self.body.names:
             raise FileFormatError(
                 path,
-                f"a {other.model} lifter of {other.channels} channels and {len(description.body.names)} "
-                f"joints; this training is of {mine.model}, {mine.channels} channels and "
-                f"{len(self.body.names)} joints, or of other layers or sensors: start from one that fits",
+                f"a lifter of {other.channels} channels and {len(description.body.names)} joints; this training is of "
+                f"{mine.channels} channels and {len(self.body.names)} joints, or of other layers or sensors: "
+                "start from one that fits",
             )
         for own in (self.network, self.averaged):
             own.load_state_dict(network.state_dict())
@@ -379,7 +303,7 @@ class Run:
         with _readable(path):
             self.network.load_state_dict(state["network"])
             self.averaged.load_state_dict(state["averaged"])
-            self.recipe.optimizer.load_state_dict(state["optimizer"])
+            self.optimizer.load_state_dict(state["optimizer"])
             self.steps, self.seconds = state["steps"], state["seconds"]
             self.validated, self.history = state["validated"], state["history"]
             self.started_from = state["started_from"]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final, Literal, Self, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
-from lifting.models import RAYS, VIDEOPOSE3D, model_of
 from lifting.training.corpus import Corpus
 from lifting.training.data import AugmentConfig
 from rtof_kin.body.pose_prior import NeutralPosture, PosePrior, posture_from_t_pose, shipped_prior
@@ -71,32 +69,18 @@ def postures_of(corpus: Corpus) -> dict[str, NeutralPosture]:
     return found
 
 
-PUBLISHED: Final[Mapping[str, Any]] = {
-    "channels": 1024,
-    "dropout": 0.25,
-    "batch": 1024,
-    "learning_rate": 1e-3,
-    "bfloat16": False,
-}
-"""Settings of VideoPose3D's paper."""
-
-
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of a training, which ends at `windows` or `minutes`, whichever comes first.
-
-    Defaults are those of the package's own model; see `for_model`.
-    """
+    """Settings of a training, which ends at `windows` or `minutes`, whichever comes first."""
 
     windows: int | None = None  #: Number of windows to learn from
     minutes: float | None = None  #: Duration without reading the corpus, min; a resumed training continues counting
-    model: str = RAYS  #: One of `models.MODELS`
     filter_widths: tuple[int, ...] = (3, 3, 3)  #: Frames seen by each convolution; their product is the receptive field
     channels: int = 256  #: Width of the network
     dropout: float = 0.0  #: Share of hidden values dropped
     batch: int = 512  #: Windows per step, of all processes together
     learning_rate: float = 2e-3  #: Largest step of the optimiser
-    weight_decay: float = 0.01  #: AdamW's, per unit of learning rate; 'rays' only, like the next three
+    weight_decay: float = 0.01  #: AdamW's, per unit of learning rate
     warm_up: float = 0.02  #: Share of the training in which the rate rises from 0, before it falls as a cosine
     ema: float = 0.998  #: Factor per step of the running mean of the weights
     clip: float = 1.0  #: Largest norm of the gradient
@@ -105,7 +89,6 @@ class TrainConfig:
     report_every: int = 20  #: Steps between progress reports
     seed: int = 0  #: Seed of the first weights and of all random draws
     device: Literal["cpu", "cuda"] = "cpu"  #: Device of the computation
-    threads: int = 2  #: 1: draw windows and learn in turn. 2: draw the next windows meanwhile, with the same result.
     bfloat16: bool = True  #: Whether matrices are multiplied in bfloat16
     causal: bool = False
     """Whether the last frame of a window is estimated, not the middle one: no delay, some mm worse."""
@@ -117,22 +100,13 @@ class TrainConfig:
     """Whether several processes share the windows that one would draw (same loss curve up to rounding,
     slower drawing) instead of drawing their own."""
 
-    @classmethod
-    def for_model(cls, model: str, **settings: Any) -> Self:
-        """Return usual settings of one of `models.MODELS`, the published ones for the baseline, with those given."""
-        usual = PUBLISHED if model == VIDEOPOSE3D else {}
-        return cls(model=model, **{**usual, **{k: v for k, v in settings.items() if v is not None}})
-
     def __post_init__(self) -> None:
-        model_of(self.model)
         if self.windows is None and self.minutes is None:
             raise InvalidInputError("training: give a number of windows, of minutes, or both")
-        for name in ("windows", "minutes", "batch", "learning_rate", "channels", "threads"):
+        for name in ("windows", "minutes", "batch", "learning_rate", "channels"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise InvalidInputError(f"training: {name} is {value}; it must be positive")
-        if self.threads > 2:
-            raise InvalidInputError(f"training: {self.threads} threads; more than 2 gain nothing")
         if self.deterministic and self.minutes is not None:
             raise InvalidInputError(
                 "training: deterministic, but ended by the clock, which the learning rate follows; "
@@ -141,7 +115,7 @@ class TrainConfig:
 
     def fixed(self) -> str:
         """Return the settings that a resumed training must share, as JSON."""
-        free = {"windows", "minutes", "device", "threads", "deterministic", "prior"}
+        free = {"windows", "minutes", "device", "deterministic", "prior"}
         free |= {"report_every", "validations", "validation_windows"}
         settings = {name: value for name, value in asdict(self).items() if name not in free}
         return json.dumps(settings, sort_keys=True)

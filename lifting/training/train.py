@@ -1,7 +1,7 @@
 """Training of a lifter.
 
 ``rtof-kin train`` calls `train`; ``torchrun`` starts it in several processes. Settings are in `settings`,
-a step in `run`, what is particular to a model in its recipe there.
+a step in `run`.
 """
 
 from __future__ import annotations

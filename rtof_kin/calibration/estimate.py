@@ -16,27 +16,16 @@ from scipy.ndimage import gaussian_filter1d
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.excerpt import Excerpt, Slice
-from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import (
-    BONE_GROUPS,
-    Detector,
-    Quantity,
-    SelfCalibration,
-    Verdict,
-    bone_groups,
-    place_swing,
-)
-from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
+from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
+from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups, place_swing
+from rtof_kin.calibration.shared_fragments import Shared, SharedFragments
 from rtof_kin.calibration.unknowns import (
     Ankles,
     Bones,
     Delay,
-    Focal,
     ImageBias,
-    Places,
     Posture,
     Sampled,
-    Tilt,
     Unknown,
     items_of,
     open_sensors,
@@ -49,7 +38,6 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.observations import low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
 
-_NORMAL_MEDIAN = 1.177  # Median norm of a normal error in two dimensions, in standard deviations of an axis
 _USUAL_HEIGHT_PX = 500.0  # [px] Height of the person that `sigma_image_bias` is for
 
 
@@ -80,12 +68,11 @@ def calibrate(
     if without_slipped and (slipped := fragments.slipped()):
         fragments = _fragments(replace(fragments.excerpt, left_out=slipped), priors, settings)
         fragments.begin()
-    shared = fragments.estimate(priors.rounds, progress, priors.overcount)
-    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior, priors.overcount)
+    shared = fragments.estimate(priors.rounds, progress)
+    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior)
     times = fragments.excerpt.times
     return SelfCalibration(
         quantities=tuple(with_places(_doubted(q, slices, shared), recording.skeleton) for q in quantities),
-        detector=_detector(fragments, shared.residuals),
         middle=float(times[0] + times[-1]) / 2,
         converged=shared.converged,
     )
@@ -119,9 +106,7 @@ def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpace
 
     unknowns = _unknowns(excerpt, priors, sampled)
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
-    share = priors.effective_seconds / max(seconds, priors.effective_seconds)
-    vision, sensed, prior = (share * w for w in (priors.weight_vision, priors.weight_sensors, priors.weight_poses))
-    return SharedFragments(excerpt, unknowns, Weights(vision, sensed, share, prior))
+    return SharedFragments(excerpt, unknowns, EFFECTIVE_SECONDS / max(seconds, EFFECTIVE_SECONDS))
 
 
 def _sensed(recording: Recording) -> BoneImuSequence:
@@ -160,7 +145,7 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
     data, skeleton = excerpt.data[0], excerpt.slices[0].recording.skeleton
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
-        found.append(Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
+        found.append(Delay(p.sigma_delay, sampled))
     found += open_sensors(p, skeleton, data.sensors)
     if p.sigma_size is not None:
         names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
@@ -169,14 +154,6 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
     if p.sigma_image_bias is not None:
         sizes = p.sigma_image_bias * _height_px(excerpt.slices) / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(ImageBias(data.names, sizes))
-    if p.sigma_place is not None:
-        starts = [(part.recording.video.camera, part.guess.poses) for part in excerpt.slices]
-        slopes = [data.points.slopes(camera, s.p_world_joint, s.R_world_bone) for camera, s in starts]
-        found.append(Places(data.names, p.sigma_place, excerpt.joined(slopes)))
-    if p.sigma_focal is not None:
-        found.append(Focal(p.sigma_focal))
-    if p.sigma_tilt is not None:
-        found.append(Tilt(p.sigma_tilt))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(Ankles(p.sigma_ankle_height))
     if not found and p.sigma_posture is None:
@@ -207,7 +184,6 @@ def quantities_of(
     y: Array,
     hessian: Array,
     prior: Array,
-    overcount: float,
     variance_prior: Array | None = None,
     significant: float = 0.0,
 ) -> tuple[Quantity, ...]:
@@ -225,7 +201,7 @@ def quantities_of(
     inverse = np.linalg.inv(S)
     variance = np.diag(np.linalg.inv(P)) if variance_prior is None else variance_prior
     known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
-    claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
+    claimed = np.minimum(np.diag(inverse @ (P + OVERCOUNT * (S - P)) @ inverse), variance)
     parts = items_of(unknowns)
 
     def listed(y: Array, variance_now: Array) -> tuple[Quantity, ...]:
@@ -256,24 +232,3 @@ def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Qua
     apart = len(causes) > sum(clocks.passed for clocks in checks)
     doubt = causes[0] if apart else next(iter(shared.doubts.values()), "")
     return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
-
-
-def _detector(fragments: SharedFragments, residuals: Array) -> tuple[Detector, ...]:
-    """Size and memory of the residuals (T', L, 2) of every landmark seen at least ten times."""
-    found, excerpt = [], fragments.excerpt
-    rate_hz, steps = excerpt.data[0].rate_hz, np.diff(excerpt.times)
-    together = steps < 1.5 / rate_hz
-    for i, name in enumerate(excerpt.data[0].names):
-        seen = fragments.confidence[:, i] > 0
-        r = residuals[:, i]
-        seen &= np.isfinite(r).all(axis=1)
-        if seen.sum() < 10:
-            continue
-        sigma = max(float(np.median(np.linalg.norm(r[seen], axis=1))) / _NORMAL_MEDIAN, 1e-6)
-        clipped = np.clip(r, -3 * sigma, 3 * sigma)
-        pairs = seen[1:] & seen[:-1] & together
-        alike = float(np.mean(clipped[1:][pairs] * clipped[:-1][pairs])) if pairs.any() else 0.0
-        share = np.clip(alike / max(float(np.mean(clipped[seen] ** 2)), 1e-12), 0.0, 0.999)
-        memory = -1 / (rate_hz * np.log(share)) if share > 0 else 0.0
-        found.append(Detector(name, sigma, float(memory)))
-    return tuple(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -11,36 +11,30 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.recording.recording import Recording
 
+EFFECTIVE_SECONDS: Final = 6.0
+"""[s] Effective length of a longer recording: autocorrelated errors do not average out."""
+WEIGHT_POSES: Final = 0.1
+"""[1] Weight of the pose prior and of the torso of the initial guess relative to a reconstruction: postures are
+autocorrelated."""
+OVERCOUNT: Final = 3.0
+"""[1] Factor by which autocorrelated errors overstate the information, in claimed standard deviations."""
+
 
 @dataclass(frozen=True)
 class CalibrationPriors:
     """Standard deviation of each quantity; None for those that are known and not estimated."""
 
     sigma_delay: float | None = 0.05  #: [s] Delay of the video relative to the sensors
-    sigma_clock_drift: float | None = None  #: [s/s] Rate between their clocks
     sigma_swing: float | None = np.radians(2.0)  #: [rad] Mounting of a sensor, about axes across its bone
     sigma_twist: float = np.radians(4.0)  #: [rad] about the bone
     sigma_heading: float | None = None  #: [rad] Heading of each sensor's reference
-    sigma_heading_drift: float | None = None  #: [rad/s] Drift of the heading
-    sigma_lever_arm: float | None = None  #: [m] per axis
     sigma_size: float | None = None  #: [1] of the skeleton as a whole
     sigma_proportion: float | None = None  #: [1] of each group of bones relative to that
     sigma_image_bias: float | None = 6.0
     """[px] per axis, of each landmark, constant in the image; for a person 500 px tall."""
-    sigma_place: float | None = None  #: [m] per axis, of each landmark in its segment
-    sigma_focal: float | None = None  #: [1] of the focal length
-    sigma_tilt: float | None = None  #: [rad] of the camera's orientation about each axis
     sigma_ankle_height: float | None = 0.02  #: [m] of ankles over the floor that they stand on; only where there is one
     sigma_posture: float | None = None
     """[rad] per axis, of the neutral posture of the person, which moves the means of the pose prior."""
-    effective_seconds: float = 6.0
-    """[s] Effective length of a longer recording: autocorrelated errors do not average out."""
-    weight_vision: float = 1.0  #: [1] Weight of landmarks relative to a reconstruction
-    weight_sensors: float = 1.0  #: [1] The same for the sensors' orientations
-    weight_poses: float = 0.1
-    """[1] The same for the pose prior and the torso of the initial guess: postures are autocorrelated."""
-    overcount: float = 3.0
-    """[1] Factor by which autocorrelated errors overstate the information, in claimed standard deviations."""
     most_seconds: float = 20.0  #: [s] of the recording that are used, in fragments distributed over it
     rounds: int = 5  #: Largest number of Gauss-Newton steps
 

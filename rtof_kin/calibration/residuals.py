@@ -21,7 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.solve.joint_space.fragment import FragmentData
-from rtof_kin.solve.joint_space.observations import Attached, Observations, fragment_of
+from rtof_kin.solve.joint_space.observations import Attached, fragment_of
 from rtof_kin.solve.joint_space.state import StateSpace
 
 _CUTOFF_HZ = 2.0  # [Hz] Low-pass of accelerations before differentiation
@@ -38,11 +38,6 @@ class CalibrationObservations:
     w_acceleration: Array  # (T, S) 1 / sigma^2 of each
     length_scale: float = 1.0  # [1] Factor on the body's size
     weight_of_motion: float = 1.0  # [1] Factor on the weights of accelerations and jerk
-
-    @classmethod
-    def of(cls, data: Observations, times: Array) -> Self:
-        """Return those of a recording at times (T,), s."""
-        return cls(times, data.rows, data.constant, data.a_world, data.w_acceleration)
 
     @property
     def rate_hz(self) -> float:
@@ -108,7 +103,7 @@ class CalibrationResiduals:
         p, R: (N, J, 3) and (N, J, 3, 3) joints and segments in world.
         landmarks, sensors: (N, L, 3), (N, S, 3) their positions in world.
         R_measured: (N, S, 3, 3) measured orientations of segments. a_world: (N - 2, S, 3) measured, m/s^2.
-        times: (N,) stamps, s. index: (N,) frames of the recording. x: (N, 3 + 4A) states.
+        index: (N,) frames of the recording. x: (N, 3 + 4A) states.
     """
 
     def __init__(
@@ -117,7 +112,6 @@ class CalibrationResiduals:
         """Pose the body at states x (N, 3 + 4A)."""
         index = np.clip(np.arange(first, first + len(x)), 0, len(given.times) - 1)
         self.space, self.given, self.joints, self.index, self.x = space, given, joints, index, x
-        self.times = given.times[index]
         p, self.R = space.poses(x)
         offsets = np.asarray(given.constant["offsets"]).T
         self.p = kinematics.positions(space.skeleton.parents, offsets, p[:, 0], self.R)

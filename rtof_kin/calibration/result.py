@@ -15,7 +15,6 @@ import numpy as np
 import tomli_w
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.camera_unknowns import refocused, turned
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -23,34 +22,26 @@ from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.input_table import InputTable, Integer, Number, Row
 from rtof_kin.core.files.text import load_toml, write_text
-from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import ImuCalibration, ImuSequence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.recording.recording import Recording
-from rtof_kin.vision.image_points import image_points
 
 _OBSERVED: Final = 0.9
 _WEAKLY = 0.5  # Least relative reductions of the prior's variance of observed and weakly observed quantities
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
-_UNITS: Final = {
-    "delay": (1e3, "ms"),
-    "heading": _DEGREES,
-    "mounting": _DEGREES,
-    "lever arm": (1e3, "mm"),
-    "bones": (100.0, "%"),
-    "image bias": (1.0, "px"),
-    "place": (1e3, "mm"),
-    "focal length": (100.0, "%"),
-    "camera tilt": _DEGREES,
-    "ankle height": (1e3, "mm"),
-    "posture": _DEGREES,
+_KINDS: Final = {
+    "delay": (2, 1e3, "ms"),
+    "heading": (1, *_DEGREES),
+    "mounting": (3, *_DEGREES),
+    "bones": (1, 100.0, "%"),
+    "image bias": (2, 1.0, "px"),
+    "ankle height": (1, 1e3, "mm"),
+    "posture": (3, *_DEGREES),
 }
-"""Kind -> factor and unit for display; of drifting kinds, those of the constant."""
+"""Kind -> largest count of its numbers, factor and unit for display; the second number of a delay is the drift of the
+clocks, s/s, and not displayed."""
 _DETECTOR: Final = (0.0, 0.05)
 _USUAL_DETECTOR, SIGMA_DETECTOR = 0.028, 0.014
 """[s] Range, mean and standard deviation of detectors' delays: up to 3 frames at 60 Hz."""
-_DRIFTING: Final = ("delay", "heading")
 BONE_GROUPS: Final = {
     "trunk": ("Spine", "Spine1", "Spine2", "Spine3", "LeftShoulder", "RightShoulder"),
     "head": ("Neck", "Head"),
@@ -83,7 +74,7 @@ class Quantity:
     """An estimated quantity."""
 
     kind: str  #: Name in `calibration.unknowns`
-    item: str  #: A segment with a sensor, a landmark, a group of bones, 'video', 'camera' or 'feet'
+    item: str  #: A segment with a sensor, a landmark, a group of bones, 'video' or 'feet'
     value: Array  #: (w,) in SI units or px; zero without an error
     sigma: Array  #: (w,) standard deviations
     sigma_prior: Array  #: (w,) standard deviations of the prior
@@ -91,18 +82,25 @@ class Quantity:
     doubt: str = ""  #: Reason why the value may be wrong regardless of its standard deviation; empty for none
 
     def __post_init__(self) -> None:
-        if self.kind not in _UNITS:
-            raise UnknownNameError("kind of quantity", [self.kind], tuple(_UNITS))
+        if self.kind not in _KINDS:
+            raise UnknownNameError("kind of quantity", [self.kind], tuple(_KINDS))
         whose = f"{self.kind} of {self.item}"
         for name in ("value", "sigma", "sigma_prior"):
             given = readonly(f"{whose}, {name}", getattr(self, name), ("w",))
-            if len(given) != len(self.value) or not np.isfinite(given).all():
-                raise InvalidInputError(f"{whose}: {name} must be finite, as many as values")
+            if not np.isfinite(given).all() or not len(self.value) == len(given) <= _KINDS[self.kind][0]:
+                raise InvalidInputError(
+                    f"{whose}: {name} must be finite, as many as values, {_KINDS[self.kind][0]} at most"
+                )
             object.__setattr__(self, name, given)
         if not ((self.sigma > 0) & (self.sigma_prior > 0)).all():
             raise InvalidInputError(f"{whose}: standard deviations must be positive")
         if not 0 <= self.known <= 1:
             raise InvalidInputError(f"{whose}: known is {self.known}, no share of 1")
+
+    @property
+    def observed(self) -> bool:
+        """Whether the value is applied: at least weakly observed, and not in doubt."""
+        return self.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
 
     @property
     def verdict(self) -> Verdict:
@@ -115,21 +113,11 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Detector:
-    """Remaining reprojection errors of a landmark."""
-
-    landmark: str
-    sigma_px: float  # Standard deviation per axis
-    memory: float  # [s] Correlation time
-
-
-@dataclass(frozen=True)
 class SelfCalibration:
-    """Estimated quantities of a recording, and the detector's remaining errors."""
+    """Estimated quantities of a recording."""
 
     quantities: tuple[Quantity, ...]
-    detector: tuple[Detector, ...] = ()
-    middle: float = 0.0  #: [s] Time stamp of the constants of drifting quantities
+    middle: float = 0.0  #: [s] Time stamp of the constant of a delay with a drift
     converged: bool = True
 
     def __getitem__(self, kind_item: tuple[str, str]) -> Quantity:
@@ -141,11 +129,7 @@ class SelfCalibration:
 
     def of_kind(self, kind: str) -> dict[str, Array]:
         """Return the quantities of a kind that are observed and not in doubt: item -> value."""
-        return {
-            q.item: q.value.copy()
-            for q in self.quantities  # SciPy's rotations need writable arrays
-            if q.kind == kind and q.verdict not in (Verdict.PRIOR, Verdict.DOUBTFUL)
-        }
+        return {q.item: q.value.copy() for q in self.quantities if q.kind == kind and q.observed}
 
     @property
     def ankle_height(self) -> float:
@@ -153,8 +137,8 @@ class SelfCalibration:
         return float(sum(q.value[0] for q in self.quantities if q.kind == "ankle height"))
 
     def for_another_recording(self) -> Self:
-        """Return what holds in other recordings of the person: bones, ankles, places, and the detector."""
-        kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height", "place"))
+        """Return what holds in other recordings of the person: bones and ankles."""
+        kept = tuple(q for q in self.quantities if q.kind in ("bones", "ankle height"))
         return replace(self, quantities=kept)
 
     def followed_by(self, later: Self) -> Self:
@@ -168,28 +152,41 @@ class SelfCalibration:
         (delay,) = clocks.quantities
         value, sigma = delay.value.copy(), delay.sigma.copy()
         value[0] += value[1:].sum() * (self.middle - clocks.middle)
-        for own in self.quantities:
-            if own.kind == "delay" and own.verdict not in (Verdict.PRIOR, Verdict.DOUBTFUL):
-                value[0], sigma[0] = value[0] + own.value[0], own.sigma[0]
-        delay = replace(delay, value=value, sigma=sigma)
-        return self.followed_by(replace(self, quantities=(delay,)))
+        if (own := self._delay) is not None:
+            value[0], sigma[0] = value[0] + own.value[0], own.sigma[0]
+        return self.followed_by(replace(self, quantities=(replace(delay, value=value, sigma=sigma),)))
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording corrected by the observed quantities."""
-        keypoints = recording.keypoints
+        keypoints, imus, known = recording.keypoints, recording.imus, recording.calibration
         if keypoints is not None:
-            keypoints = self._keypoints(keypoints)
-        views = tuple(self._view(view, recording.video.camera) for view in recording.views)
-        imus, calibration = recording.imus, recording.calibration
-        if imus is not None:
-            imus = imus if calibration is None else self._imus(imus, calibration)
-            imus = self._on_clock(imus)
-            calibration = None if calibration is None else self._calibration(calibration)
-        recording = replace(recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration)
+            uv, times = keypoints.uv_px.copy(), self.on_clock(keypoints.times)
+            for name, bias in self.of_kind("image bias").items():
+                if name in keypoints.names:
+                    uv[:, keypoints.names.index(name)] -= bias
+            keypoints = replace(keypoints, uv_px=uv).on_clock(times)
+        if imus is not None and known is not None:
+            R_world_inertial, R_sensor_bone = known.R_world_inertial.copy(), known.R_sensor_bone.copy()
+            for joint, (heading,) in self.of_kind("heading").items():
+                s = known.joints.index(joint)
+                R_world_inertial[s] = so3.about_axis("z", heading) @ R_world_inertial[s]
+            for joint, turn in self.of_kind("mounting").items():
+                s = known.joints.index(joint)
+                R_sensor_bone[s] = R_sensor_bone[s] @ so3.exp(turn)
+            known = replace(known, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone)
+        recording = replace(
+            recording,
+            keypoints=keypoints,
+            views=tuple(view.on_clock(self.on_clock(view.times)) for view in recording.views),
+            imus=None if imus is None else self._on_clock(imus),
+            calibration=known,
+        )
         if turns := self.of_kind("posture"):
             recording = _with_posture(recording, turns)
         if bones := self.of_kind("bones"):
-            offsets = self._offsets(recording.skeleton, bones)
+            offsets = recording.skeleton.joint_offsets.copy()
+            for name, joints in bone_groups(recording.skeleton, tuple(bones)):
+                offsets[list(joints)] *= 1 + bones[name][0]
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
         return recording
 
@@ -203,44 +200,24 @@ class SelfCalibration:
             if q.kind == "mounting" and q.verdict is not Verdict.PRIOR
         }
 
-    def moved(self, keypoints: KeypointSequence, poses: PoseSequence) -> KeypointSequence:
-        """Return keypoints corrected by the places of the detector's landmarks."""
-        places = {n: v for n, v in self.of_kind("place").items() if n in keypoints.names}
-        if not places:
-            return keypoints
-        points = image_points(SkeletonModel.default(), tuple(places))
-        slopes = points.slopes(keypoints.camera, poses.p_world_joint, poses.R_world_bone)
-        shift = np.einsum("tlij,lj->tli", slopes, np.array(list(places.values())))
-        uv = keypoints.uv_px.copy()
-        uv[:, [keypoints.names.index(name) for name in places]] -= shift
-        return replace(keypoints, uv_px=uv)
-
     def table(self) -> list[tuple[str, str, str, str, str, str]]:
         """Return rows of kind, item, value, its standard deviation, that of the prior (root mean square of
         the axes) and verdict, for display.
         """
         rows = []
         for q in self.quantities:
-            factor, unit = _UNITS[q.kind]
-            own = slice(1) if q.kind in _DRIFTING else slice(None)
+            _, factor, unit = _KINDS[q.kind]
+            own = slice(1 if q.kind == "delay" else None)
             size = q.value[0] if len(q.value[own]) == 1 else _rms(q.value)
             sizes = size, _rms(q.sigma[own]), _rms(q.sigma_prior[own])
             value, sigma, prior = (f"{factor * size:.3g}" for size in sizes)
             rows.append((q.kind, q.item, f"{value} {unit}", sigma, prior, q.verdict.value))
         return rows
 
-    def _keypoints(self, keypoints: KeypointSequence) -> KeypointSequence:
-        uv = keypoints.uv_px.copy()
-        for name, bias in self.of_kind("image bias").items():
-            if name in keypoints.names:
-                uv[:, keypoints.names.index(name)] -= bias
-        camera = self._camera(keypoints.camera)
-        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self.on_clock(keypoints.times))
-
-    def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
-        """A further camera's keypoints; its pose relative to the first one stays."""
-        camera = view.camera.carried(first, self._camera(first))
-        return replace(view, camera=camera).on_clock(self.on_clock(view.times))
+    @property
+    def _delay(self) -> Quantity | None:
+        """The delay of the video, if it is observed."""
+        return next((q for q in self.quantities if q.kind == "delay" and q.observed), None)
 
     @property
     def sensors_late(self) -> float:
@@ -249,66 +226,25 @@ class SelfCalibration:
         A detector's delay of usual size explains a delay alone; else the clocks are wrong, and the
         detector's delay is taken to be the usual one.
         """
-        for q in self.quantities:
-            if q.kind == "delay" and q.item in self.of_kind("delay"):
-                margin = 2 * q.sigma[0]
-                if not _DETECTOR[0] - margin <= q.value[0] <= _DETECTOR[1] + margin:
-                    return _USUAL_DETECTOR - float(q.value[0])
+        if (q := self._delay) is not None:
+            margin = 2 * q.sigma[0]
+            if not _DETECTOR[0] - margin <= q.value[0] <= _DETECTOR[1] + margin:
+                return _USUAL_DETECTOR - float(q.value[0])
         return 0.0
 
     def on_clock(self, times: Array) -> Array:
         """Return when what the video shows at times (T,), s, happened: the detector's delay earlier."""
-        for delay in self.of_kind("delay").values():
-            times = times - (delay[0] + self.sensors_late)
-        return times
+        q = self._delay
+        return times if q is None else times - (q.value[0] + self.sensors_late)
 
     def _on_clock(self, imus: ImuSequence) -> ImuSequence:
         """IMUs on the clock that `on_clock` returns."""
-        for delay in self.of_kind("delay").values():
-            if len(delay) > 1 or self.sensors_late:
-                rate = float(np.append(delay, 0.0)[1])
-                seen = self.middle + (imus.times - self.middle + delay[0]) / (1 - rate)
-                return replace(imus, times=self.on_clock(seen))
-        return imus
-
-    def _camera(self, camera: Camera) -> Camera:
-        for longer in self.of_kind("focal length").values():
-            camera = refocused(camera, longer[0])
-        for tilt in self.of_kind("camera tilt").values():
-            camera = turned(camera, tilt)
-        return camera
-
-    def _calibration(self, given: ImuCalibration) -> ImuCalibration:
-        R_world_inertial, R_sensor_bone = given.R_world_inertial.copy(), given.R_sensor_bone.copy()
-        levers = given.p_bone_sensor.copy()
-        index = {joint: s for s, joint in enumerate(given.joints)}
-        for joint, heading in self.of_kind("heading").items():
-            s = index[joint]
-            R_world_inertial[s] = so3.about_axis("z", heading[0]) @ R_world_inertial[s]
-        for joint, turn in self.of_kind("mounting").items():
-            R_sensor_bone[index[joint]] = R_sensor_bone[index[joint]] @ so3.exp(turn)
-        for joint, more in self.of_kind("lever arm").items():
-            levers[index[joint]] += more
-        return replace(given, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone, p_bone_sensor=levers)
-
-    def _imus(self, imus: ImuSequence, calibration: ImuCalibration) -> ImuSequence:
-        """IMUs without the drift of their headings."""
-        R = imus.R_inertial_sensor.copy()
-        for joint, heading in self.of_kind("heading").items():
-            if len(heading) < 2:
-                continue
-            own = calibration.joints.index(joint)
-            s = imus.names.index(calibration.sensors[own])
-            turn = so3.about_axis("z", heading[1] * (imus.times - self.middle))
-            R_world_inertial = calibration.R_world_inertial[own]
-            R[:, s] = R_world_inertial.T @ turn @ R_world_inertial @ R[:, s]
-        return replace(imus, R_inertial_sensor=R)
-
-    def _offsets(self, skeleton: SkeletonModel, bones: dict[str, Array]) -> Array:
-        offsets = skeleton.joint_offsets.copy()
-        for name, joints in bone_groups(skeleton, tuple(bones)):
-            offsets[list(joints)] *= 1 + bones[name][0]
-        return offsets
+        q = self._delay
+        if q is None or not (len(q.value) > 1 or self.sensors_late):
+            return imus
+        rate = float(q.value[1:].sum())
+        seen = self.middle + (imus.times - self.middle + q.value[0]) / (1 - rate)
+        return replace(imus, times=self.on_clock(seen))
 
 
 def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
@@ -356,13 +292,6 @@ class QuantityTable(InputTable):
     """Why the value may be wrong."""
 
 
-class DetectorTable(InputTable):
-    """Remaining reprojection errors of a landmark."""
-
-    sigma_px: Number
-    memory_s: Number
-
-
 class CalibrationTable(InputTable):
     """The file."""
 
@@ -372,7 +301,8 @@ class CalibrationTable(InputTable):
     converged: Integer
     quantities: dict[str, dict[str, QuantityTable]]
     """By kind and item."""
-    detector: dict[str, DetectorTable] = {}
+    detector: dict[str, Any] = {}
+    """Of earlier versions: the detector's errors by landmark, which are not used."""
 
 
 def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
@@ -388,9 +318,6 @@ def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, 
         sigma = [0.01, 0.01, 0.03]
         sigma_prior = [0.035, 0.035, 0.07]
         known = 0.4
-        [detector.LeftArm]
-        sigma_px = 5.1
-        memory_s = 0.4
 
     Args:
         overwrite: whether an existing file is replaced.
@@ -413,7 +340,6 @@ def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, 
         "middle_s": calibration.middle,
         "converged": int(calibration.converged),
         "quantities": quantities,
-        "detector": {d.landmark: {"sigma_px": d.sigma_px, "memory_s": d.memory} for d in calibration.detector},
     }
     write_text(Path(path), tomli_w.dumps(content), overwrite)
 
@@ -440,17 +366,13 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
     file = CalibrationTable.of(data, Path(path))
     try:
         return SelfCalibration(
-            tuple(_quantity(one, kind, item) for kind, items in file.quantities.items() for item, one in items.items()),
-            tuple(Detector(name, one.sigma_px, one.memory_s) for name, one in file.detector.items()),
+            tuple(
+                Quantity(kind, item, one.value, one.sigma, one.sigma_prior, one.known, one.doubt)
+                for kind, items in file.quantities.items()
+                for item, one in items.items()
+            ),
             file.middle_s,
             bool(file.converged),
         )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
-
-
-def _quantity(table: QuantityTable, kind: str, item: str) -> Quantity:
-    for name in ("sigma", "sigma_prior"):
-        if (shape := getattr(table, name).shape) != table.value.shape:
-            raise table.error(name, f"expected {len(table.value)} numbers, got shape {shape}")
-    return Quantity(kind, item, table.value, table.sigma, table.sigma_prior, table.known, table.doubt)

@@ -9,12 +9,12 @@ information I and gradient s at the current y are those of `fragment_profile`, t
     y  = y_0 + (P + r S)^-1 r b       r = min(1, effective seconds / c)
 
 P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
-windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
+windows count together as `EFFECTIVE_SECONDS` at most, and those of m seconds ago less.
 
 The delay of the video has a posterior of its own (`DelayPosterior`), as energies are not quadratic in it.
 
 An update takes some 50 ms and comes in slices of about a ms. What is applied to new samples moves
-towards the estimate with a limited speed (`Pace`), so that poses do not jump.
+towards the estimate with a limited speed, so that poses do not jump.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from rtof_kin.calibration.estimate import quantities_of
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, Slices
 from rtof_kin.calibration.offset_scan import OffsetScan
-from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, WEIGHT_POSES, CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.calibration.unknowns import (
@@ -181,16 +181,12 @@ class WindowObservations:
     multipliers: Array | None = None  # (N, M) of the limits
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How fast a sequential calibration follows, and is applied."""
-
-    memory_s: float = 60.0  # [s] of windows after which one counts 1/e
-    delay: float = 0.005  # [s/s] Largest speed of the applied delay
-    turn: float = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
-    significant: float = 2.0
-    """[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
-    deviations, that is corrected: a smaller one may be the detector's."""
+_MEMORY_S = 60.0  # [s] of windows after which one counts 1/e
+_DELAY_SPEED = 0.005  # [s/s] Largest speed of the applied delay
+TURN_SPEED: Final = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
+_SIGNIFICANT = 2.0
+"""[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
+deviations, that is corrected: a smaller one may be the detector's."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +214,6 @@ class SequentialCalibration:
         settings: JointSpaceSettings,
         priors: CalibrationPriors | None = None,
         start: SelfCalibration | None = None,
-        pace: Pace | None = None,
     ) -> None:
         """Begin with the priors, or with a saved calibration.
 
@@ -231,7 +226,7 @@ class SequentialCalibration:
             CalibrationError: nothing is open.
         """
         priors = priors or DELAY_ALONE
-        self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
+        self._problem, self._settings = problem, settings
         self._limits = Limits(problem.space) if settings.limits else None
         self.unknowns = _opened(problem, priors)
         if not self.unknowns and priors.sigma_delay is None:
@@ -239,7 +234,7 @@ class SequentialCalibration:
         self.columns = columns_of(self.unknowns)
         covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(len(u.covariance) for u in self.unknowns)]
         self._usual = np.array(np.diag(covariance))
-        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if _is_known(q)}
+        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if q.observed}
         self._mean = _started(self.unknowns, covariance, saved)
         self._prior = np.asarray(np.linalg.inv(covariance) if self.unknowns else covariance)
         self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
@@ -272,17 +267,8 @@ class SequentialCalibration:
         energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
         information, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
-            p, rows = self._priors, now.rows
-            fragment = replace(
-                fragment,
-                observations=now.changed(
-                    w_visual=p.weight_vision * rows["w_visual"],
-                    knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
-                    w_sensor=p.weight_sensors * rows["w_sensor"],
-                    w_prior=p.weight_poses * rows["w_prior"],
-                    w_torso=p.weight_poses * rows["w_torso"],
-                ),
-            )
+            weighted = {name: WEIGHT_POSES * now.rows[name] for name in ("w_prior", "w_torso")}
+            fragment = replace(fragment, observations=now.changed(**weighted))
             self._problem.bind(fragment.observations.fragment(0, N))
             yield
             information, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
@@ -293,17 +279,15 @@ class SequentialCalibration:
     def corrections(self, seconds: float) -> Corrections:
         """Return what to apply to new samples, changed as much as the seconds since the last call allow."""
         wanted, delay = self._wanted()
-        most, step = self._pace.turn * seconds, self._pace.delay * seconds
+        most, step = TURN_SPEED * seconds, _DELAY_SPEED * seconds
         self._applied += np.clip(wanted - self._applied, -most, most)
         self._applied_delay += float(np.clip(delay - self._applied_delay, -step, step))
-        own: dict[str, dict[str, Array]] = {"heading": {}, "mounting": {}, "posture": {}}
-        for kind, item, part in items_of(self.unknowns):
-            own[kind][item] = self._applied[part]
+        own = [(kind, item, self._applied[part]) for kind, item, part in items_of(self.unknowns)]
         return Corrections(
             self._applied_delay,
-            {item: float(value[0]) for item, value in own["heading"].items()},
-            {item: so3.exp(value) for item, value in own["mounting"].items()},
-            own["posture"],
+            {item: float(value[0]) for kind, item, value in own if kind == "heading"},
+            {item: so3.exp(value) for kind, item, value in own if kind == "mounting"},
+            {item: value for kind, item, value in own if kind == "posture"},
         )
 
     def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
@@ -311,14 +295,14 @@ class SequentialCalibration:
         late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
-    def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
-        """Return the present estimate, as `calibrate` would; `significant` as in `Pace`, which has the default."""
-        return SelfCalibration(self._listed(significant), converged=self.windows > 0)
+    def as_self_calibration(self) -> SelfCalibration:
+        """Return the present estimate, as `calibrate` would."""
+        return SelfCalibration(self._quantities, converged=self.windows > 0)
 
     def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
         if sampled is not None:
-            given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
+            given = Delay(1.0, lambda _: sampled).correct(given, np.zeros(1))
         return corrected(given, self.unknowns, y)
 
     def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
@@ -350,14 +334,14 @@ class SequentialCalibration:
     def _account(self, seconds: float, information: Array, force: Array, energies: Array) -> None:
         if not all(np.isfinite(values).all() for values in (information, force, energies)):
             return
-        kept = max(0.0, 1 - seconds / self._pace.memory_s)
+        kept = max(0.0, 1 - seconds / _MEMORY_S)
         self._seconds = kept * self._seconds + seconds
         self._information = kept * self._information + information
         self._vector = kept * self._vector + information @ (self.y - self._mean) - force
         self.windows += 1
         if self.delay:
             self.delay.add(energies, kept)
-            self.delay.estimate(self._share / self._priors.overcount)
+            self.delay.estimate(self._share / OVERCOUNT)
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
@@ -365,37 +349,25 @@ class SequentialCalibration:
     @property
     def _share(self) -> float:
         """Weight of all windows: together they count as the effective seconds at most."""
-        return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
+        return min(1.0, EFFECTIVE_SECONDS / max(self._seconds, 1e-9))
 
-    def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
+    def _listed(self) -> tuple[Quantity, ...]:
         found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
-            moved = quantities_of(
-                self.unknowns,
-                self.y - self._mean,
-                hessian,
-                self._prior,
-                self._priors.overcount,
-                self._usual,
-                self._pace.significant if significant is None else significant,
-            )
-            means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
-            found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
+            moved = quantities_of(self.unknowns, self.y - self._mean, hessian, self._prior, self._usual, _SIGNIFICANT)
+            parts = zip(moved, items_of(self.unknowns), strict=True)
+            found += [replace(q, value=q.value + self._mean[own]) for q, (_, _, own) in parts]
         return tuple(found)
 
     def _wanted(self) -> tuple[Array, float]:
         """What is to be applied: known estimates and an observed delay, else what it began with."""
-        first, quantities = 0, self._quantities
-        wanted, delay = self._mean.copy(), self._begun
+        wanted, delay, quantities = self._mean.copy(), self._begun, list(self._quantities)
         if self.delay:
-            if quantities[0].verdict is Verdict.OBSERVED:
-                delay = float(quantities[0].value[0])
-            quantities = quantities[1:]
-        for q in quantities:
-            own = slice(first, first + len(q.value))
-            first = own.stop
-            if _is_known(q):
+            late, *quantities = quantities
+            delay = float(late.value[0]) if late.verdict is Verdict.OBSERVED else delay
+        for q, (_, _, own) in zip(quantities, items_of(self.unknowns), strict=True):
+            if q.observed:
                 wanted[own] = q.value
         return wanted, delay
 
@@ -411,15 +383,11 @@ def _turning(given: CalibrationObservations) -> float:
     return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
 
 
-def _is_known(quantity: Quantity) -> bool:
-    return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
-
-
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
     if sensors := tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors):
-        found += open_sensors(replace(priors, sigma_heading_drift=None, sigma_lever_arm=None), skeleton, sensors)
+        found += open_sensors(priors, skeleton, sensors)
     if priors.sigma_posture is not None:
         found.append(Posture.of(problem.space.names, priors.sigma_posture))
     return tuple(found)

@@ -11,7 +11,7 @@ step is taken on the energy as a function of y alone:
     gradient    = sum_f (h_f - C_f^T A_f^-1 g_f) + P y
 
 (variable projection; Golub & Pereyra 2003). The Hessian at the end is the inverse covariance of y, as far
-as the weights are right; autocorrelated errors weigh less than in single frames (`Weights`).
+as the weights are right; autocorrelated errors weigh less than in single frames (`priors`).
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from scipy.optimize import minimize_scalar
 
 from rtof_kin.calibration.excerpt import Excerpt
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, UnknownsHessian, finished
+from rtof_kin.calibration.priors import OVERCOUNT, WEIGHT_POSES
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.unknowns import Unknown, columns_of, corrected
 from rtof_kin.core.array_types import Array
@@ -42,23 +43,12 @@ _ENOUGH = 1e-3  # Relative decrease of the energy below which steps end; the sta
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Weights of residuals relative to a reconstruction."""
-
-    vision: float = 1.0
-    sensors: float = 1.0  # Orientations
-    motion: float = 1.0  # Accelerations and jerk
-    prior: float = 1.0  # The pose prior, and the torso of the initial guess
-
-
-@dataclass(frozen=True)
 class Shared:
     """Estimate of the unknowns."""
 
     y: Array  # (G,) the estimate
     hessian: Array  # (G, G) of the energy as a function of the unknowns alone, with their prior
     sigma_px: float  # Standard deviation used for the landmarks, px
-    residuals: Array  # (T', L, 2) of reprojection after correction, px, of the excerpt's frames
     energies: tuple[float, ...]  # Before the first and after every accepted step
     converged: bool
     doubts: dict[int, str]  # Column of a searched unknown -> reason why the search may have failed
@@ -73,13 +63,14 @@ class SharedFragments:
         confidence: (T', L) relative weights of the landmarks, 0 where unobserved.
     """
 
-    def __init__(self, excerpt: Excerpt, unknowns: Sequence[Unknown], weights: Weights) -> None:
+    def __init__(self, excerpt: Excerpt, unknowns: Sequence[Unknown], weight: float) -> None:
         """Take the fragments.
 
         Args:
             unknowns: in the order in which they correct the observations; a delay is the first.
+            weight: of residuals relative to a reconstruction; of postures `WEIGHT_POSES` times as much.
         """
-        self.excerpt, self.unknowns, self.weights = excerpt, tuple(unknowns), weights
+        self.excerpt, self.unknowns, self._weight = excerpt, tuple(unknowns), weight
         self.data = excerpt.data[0]
         self._given = excerpt.observations
         self._start = excerpt.joined([own.start for own in excerpt.data])
@@ -93,11 +84,7 @@ class SharedFragments:
         self._doubts: dict[int, str] = {}
 
     def estimate(
-        self,
-        rounds: int,
-        progress: Callable[[int, int], None] | None = None,
-        overcount: float = 1.0,
-        start: Array | None = None,
+        self, rounds: int, progress: Callable[[int, int], None] | None = None, start: Array | None = None
     ) -> Shared:
         """Estimate the unknowns, and the prior of those kinds that shrink.
 
@@ -130,14 +117,13 @@ class SharedFragments:
             if converged:  # the Hessian is that of the step before
                 break
             information, slope = self.profile(given_y, y)
-            self.prior = learned_precision(given, information, slope, y, shrinking, overcount)
+            self.prior = learned_precision(given, information, slope, y, shrinking)
             hessian = information + self.prior
             step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
             y = y + step
         y = best[1]
         report(rounds + 1, rounds + 1)
-        residuals = self._residuals(self.corrected(y))
-        return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged, self._doubts)
+        return Shared(y, hessian, self._sigma_px, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
         return 0.5 * float(y @ self.prior @ y)
@@ -169,22 +155,22 @@ class SharedFragments:
     def _energy_at(self, y: Array, i: int, value: float) -> float:
         """Energy of the liveliest fragments at another value of one unknown, with full weights."""
         y = np.where(np.arange(len(y)) == i, value, y)
-        corrected, a, N = self.corrected(y, Weights()), self._given.a_world, self.data.frames
+        corrected, a, N = self.corrected(y, full=True), self._given.a_world, self.data.frames
         lively = {first: float(np.std(a[first : first + N], axis=0).sum()) for first in self._firsts}
         chosen = sorted(sorted(lively, key=lambda first: -lively[first])[:_LIVELY])
         return self.settle(corrected, chosen) + self._unlikely(y)
 
-    def corrected(self, y: Array, weights: Weights | None = None) -> CalibrationObservations:
-        """Return the weighted observations corrected by y (G,)."""
-        given, weights = corrected(self._given, self.unknowns, y), weights or self.weights
-        rows, s = given.rows, self.data.settings
-        knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(weights.vision)
-        return replace(given, weight_of_motion=weights.motion).changed(
-            w_visual=weights.vision * self.confidence / self._sigma_px**2,
+    def corrected(self, y: Array, full: bool = False) -> CalibrationObservations:
+        """Return the observations corrected by y (G,), weighted, or with the full weights of a reconstruction."""
+        given, s = corrected(self._given, self.unknowns, y), self.data.settings
+        weight, prior = (1.0, 1.0) if full else (self._weight, self._weight * WEIGHT_POSES)
+        knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(weight)
+        return replace(given, weight_of_motion=weight).changed(
+            w_visual=weight * self.confidence / self._sigma_px**2,
             knee_visual=np.full(len(given.times), knee),
-            w_sensor=weights.sensors * rows["w_sensor"],
-            w_prior=weights.prior * rows["w_prior"],
-            w_torso=weights.prior * rows["w_torso"],
+            w_sensor=weight * given.rows["w_sensor"],
+            w_prior=prior * given.rows["w_prior"],
+            w_torso=prior * given.rows["w_torso"],
         )
 
     def begin(self) -> None:
@@ -232,14 +218,6 @@ class SharedFragments:
         problem.bind(corrected.fragment(first, self.data.frames))
         return problem
 
-    def _residuals(self, corrected: CalibrationObservations) -> Array:
-        """(T', L, 2) px."""
-        out = np.full((len(corrected.times), len(self.data.names), 2), np.nan)
-        for first in self._firsts:
-            own = out[first : first + self.data.frames]
-            own[:] = self.bound(corrected, first).value(self._states[first][0])[1][: len(own)]
-        return out
-
     def profile(self, corrected: CalibrationObservations, y: Array) -> tuple[Array, Array]:
         """Return Hessian (G, G) and gradient (G,) of the data's energy at y (G,) by the unknowns alone."""
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
@@ -284,15 +262,13 @@ _LEAST_SHARE = 0.05  # Smallest share of a prior's variance
 _TINY = 1e-9  # Added to sums of squares, so that unobserved estimates have a ratio of 1
 
 
-def learned_precision(
-    given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice], overcount: float
-) -> Array:
+def learned_precision(given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice]) -> Array:
     """Return the precision (G, G) of the prior that matches the size of the estimates.
 
-    With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; if
-    autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The prior's variance
-    of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (empirical Bayes by moments; Morris
-    1983).
+    With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; as
+    autocorrelated errors make D k times too large (`OVERCOUNT`), its covariance is A P^-1 A^T + k A (P + D)^-1. The
+    prior's variance of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (empirical Bayes by
+    moments; Morris 1983).
 
     With small errors all estimates are smaller than their prior makes likely. A smaller prior also limits estimates of
     combinations that nothing observes: a radial bias in the image looks like a nearer person.
@@ -306,7 +282,7 @@ def learned_precision(
         inverse = np.linalg.inv(information + precision)
         estimate = y - inverse @ (slope + precision @ y)
         A = inverse @ information
-        expected = np.diag(A @ np.linalg.inv(precision) @ A.T + overcount * A @ inverse)
+        expected = np.diag(A @ np.linalg.inv(precision) @ A.T + OVERCOUNT * A @ inverse)
         before = shares
         ratios = [_size(given, estimate**2, own) / _size(given, expected, own) for own in shrinking]
         shares = (before * ratios).clip(_LEAST_SHARE, 1.0)

@@ -5,17 +5,16 @@ zero without an error; their prior is normal about zero.
 
 ::
 
-    delay       t_event = t_stamp - (y_0 + y_1 (t_stamp - t_middle))       s, and s per s
-    heading     R_world_bone = R_z(y_0 + y_1 (t - t_middle)) R_measured     rad, and rad/s
+    delay       t_event = t_stamp - y                                       s
+    heading     R_world_bone = R_z(y) R_measured                            rad
     mounting    R_world_bone = R_measured exp(y)                            rad, in the segment's axes
-    lever arm   p_bone_sensor = given + y                                   m
     bones       offset_j = (1 + y_g) given_j for the joints of a group g    1
     image       uv_true = uv_seen - y, for each landmark                    px
-    place       p_bone_landmark = given + y, for each landmark              m
-    focal       f = (1 + y) given                                           1
-    tilt        R_camera_world = exp(y) given, about the camera's centre    rad, in the camera's axes
     posture     mean_joint = exp(y) given, of the pose prior                rad, in the parent's axes
     ankles      height of an ankle over the floor it stands on = given + y  m
+
+A recording does not show lever arms, drifts of headings, the camera's tilt or a focal length that is right to 2 %
+(docs/calibration.md): they are not unknowns. A drift of the clocks is found before (`clocks`).
 """
 
 from __future__ import annotations
@@ -71,18 +70,6 @@ class Unknown(ABC):
     @abstractmethod
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Return derivatives by y (k,) of what residuals compare."""
-
-
-class Isotropic(Unknown):
-    """An unknown whose numbers are independent and have one standard deviation."""
-
-    sigma: float
-    width = 1  # w
-
-    @property
-    def covariance(self) -> Array:
-        """(k, k) of the prior."""
-        return np.eye(self.width * len(self.items)) * self.sigma**2
 
 
 @dataclass(frozen=True)
@@ -185,12 +172,6 @@ def corrected(given: CalibrationObservations, unknowns: Sequence[Unknown], y: Ar
     return given
 
 
-def powers_of_time(times: Array, all_times: Array, count: int) -> Array:
-    """Return (T, count) of a constant and, for count 2, of the time since the middle of `all_times`, s."""
-    since = times - (all_times[0] + all_times[-1]) / 2
-    return np.stack([np.ones_like(since), since], axis=-1)[:, :count]
-
-
 def each(own: Array) -> Array:
     """Return derivatives by all items (N, K, i, K w) of each item's own (N, K, i, w)."""
     N, K, i, w = own.shape
@@ -206,10 +187,9 @@ Sampled = Callable[[Array], tuple[Array, Array, Array, Array]]
 
 @dataclass(frozen=True)
 class Delay(Unknown):
-    """Delay of the video, and its rate where the clocks differ."""
+    """Delay of the video."""
 
     sigma: float  # [s]
-    sigma_drift: float | None  # [s/s]; None for equal clocks
     sampled: Sampled  # The sensors at any times
     name = "delay"
     searched = True
@@ -217,63 +197,49 @@ class Delay(Unknown):
 
     @property
     def covariance(self) -> Array:
-        """(1, 1), or (2, 2) with the clocks' drift."""
-        return np.diag(np.square([v for v in (self.sigma, self.sigma_drift) if v is not None]))
+        """(1, 1)."""
+        return np.array([[self.sigma**2]])
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Sample the sensors at the corrected times of the video."""
-        times = given.times
-        q, w, a, w_a = self.sampled(times - powers_of_time(times, times, len(y)) @ y)
+        q, w, a, w_a = self.sampled(given.times - y[0])
         return replace(given.changed(quat_sensor=q, w_sensor=w), a_world=a, w_acceleration=w_a)
 
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives by time; those of accelerations after a low-pass, as they are mostly noise."""
         rate, R = at.given.rate_hz, at.R_measured
         known = at.given.rows["w_sensor"][at.index] > 0
         steps = so3.log(np.swapaxes(R[:-1], -1, -2) @ R[1:]) * rate
         steps = steps * (known[1:] & known[:-1])[..., None]
         turning = np.concatenate([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]])
-        powers = powers_of_time(at.times, at.given.times, len(y))
-        return Changes(
-            turns=-turning[..., None] * powers[:, None, None],
-            accelerations=-at.given.jerk_world[at.index][1:-1, ..., None] * powers[1:-1, None, None],
-        )
+        return Changes(turns=-turning[..., None], accelerations=-at.given.jerk_world[at.index][1:-1, ..., None])
 
 
 @dataclass(frozen=True)
 class Heading(Unknown):
-    """Rotation of each sensor's reference about the vertical, and its rate."""
+    """Rotation of each sensor's reference about the vertical."""
 
     items: tuple[str, ...]
     sigma: float  # [rad]
-    sigma_drift: float | None  # [rad/s]; None for constant headings
     name = "heading"
 
     @property
     def covariance(self) -> Array:
         """(k, k), sensor after sensor."""
-        own = [v for v in (self.sigma, self.sigma_drift) if v is not None]
-        return np.diag(np.square(np.tile(own, len(self.items))))
+        return np.eye(len(self.items)) * self.sigma**2
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Rotate orientations and accelerations."""
-        own = y.reshape(len(self.items), -1)
-        angle = powers_of_time(given.times, given.times, own.shape[1]) @ own.T
-        zero = np.zeros_like(angle)
-        turn = np.stack([np.cos(angle / 2), zero, zero, np.sin(angle / 2)], axis=-1)
-        a = so3.about_axis("z", angle) @ given.a_world[..., None]
+        a = so3.about_axis("z", y) @ given.a_world[..., None]
+        turn = np.stack([np.cos(y / 2), 0 * y, 0 * y, np.sin(y / 2)], axis=-1)
         q = quat.multiply(turn, given.rows["quat_sensor"])
         return replace(given.changed(quat_sensor=q), a_world=a[..., 0])
 
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives by rotations about world's z."""
-        powers = powers_of_time(at.times, at.given.times, len(y) // len(self.items))
         a = at.a_world
         across = np.stack([-a[..., 1], a[..., 0], np.zeros_like(a[..., 0])], axis=-1)
-        return Changes(
-            turns=each(at.R_measured[..., 2, :, None] * powers[:, None, None]),
-            accelerations=each(across[..., None] * powers[1:-1, None, None]),
-        )
+        return Changes(turns=each(at.R_measured[..., 2, :, None]), accelerations=each(across[..., None]))
 
 
 @dataclass(frozen=True)
@@ -303,25 +269,7 @@ class Mounting(Unknown):
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Derivatives in the segment's axes."""
         turn = quat.right_jacobian(y.reshape(-1, 3))
-        return Changes(turns=each(np.broadcast_to(turn, (len(at.times), *turn.shape))))
-
-
-@dataclass(frozen=True)
-class LeverArm(Isotropic):
-    """Error of each sensor's position in its segment."""
-
-    items: tuple[str, ...]
-    sigma: float  # [m] per axis
-    name = "lever arm"
-    width = 3
-
-    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
-        """Add to the lever arms."""
-        return given.known(levers=given.constant["levers"] + y.reshape(-1, 3).T)
-
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
-        """Derivatives along the segments' axes."""
-        return Changes(sensors=each(at.R[:, list(at.joints.sensors)]))
+        return Changes(turns=each(np.broadcast_to(turn, (len(at.x), *turn.shape))))
 
 
 _LEAST_SHARE = 0.25  # Constant part of the errors, per sigma of a bias's prior, below which there is no bias
@@ -354,72 +302,11 @@ class ImageBias(Unknown):
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives by each landmark's own bias."""
-        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.times), len(self.items), 2, 2))))
+        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.x), len(self.items), 2, 2))))
 
 
 @dataclass(frozen=True)
-class Places(Isotropic):
-    """Error of the position of each landmark in its segment, linearised at the initial guess."""
-
-    items: tuple[str, ...]
-    sigma: float  # [m] per axis
-    slopes: Array  # (T, L, 2, 3) px per m along the segments' axes (`ImagePoints.slopes`)
-    name = "place"
-    width = 3
-
-    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
-        """Move the landmarks in the image."""
-        shift = np.einsum("tlij,lj->tli", self.slopes, y.reshape(-1, 3))
-        return given.changed(uv_px=given.rows["uv_px"] - shift)
-
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
-        """Derivatives along the segments' axes."""
-        return Changes(image=-each(self.slopes[at.index]))
-
-
-@dataclass(frozen=True)
-class Focal(Isotropic):
-    """Relative error of the focal length."""
-
-    sigma: float  # [1]
-    name = "focal length"
-    items = ("camera",)
-
-    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
-        """Scale the focal length."""
-        K = np.array(given.constant["K"])
-        K[:2, :2] *= 1 + y[0]
-        return given.known(K=K)
-
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
-        """Derivatives away from the principal point."""
-        from_centre = at.image_by_point[0] - at.given.constant["K"][:2, 2]
-        return Changes(image=-from_centre[..., None] / (1 + y[0]))
-
-
-@dataclass(frozen=True)
-class Tilt(Isotropic):
-    """Error of the camera's orientation, about its centre."""
-
-    sigma: float  # [rad] about each axis
-    name = "camera tilt"
-    items = ("camera",)
-    width = 3
-
-    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
-        """Rotate the camera."""
-        turn, known = so3.exp(y), given.constant
-        return given.known(R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"])
-
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
-        """Derivatives of the landmarks rotating the other way about the camera."""
-        R = at.given.constant["R_camera_world"]
-        camera = at.landmarks @ R.T + at.given.constant["t_camera_world"]
-        return Changes(points=-R.T @ so3.skew(camera) @ quat.right_jacobian(-y))
-
-
-@dataclass(frozen=True)
-class Ankles(Isotropic):
+class Ankles(Unknown):
     """Error of the ankles' height over the floor; people and shoes differ, and heels leave the floor."""
 
     sigma: float  # [m]
@@ -427,17 +314,22 @@ class Ankles(Isotropic):
     nuisance = True
     items = ("feet",)
 
+    @property
+    def covariance(self) -> Array:
+        """(1, 1)."""
+        return np.array([[self.sigma**2]])
+
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Raise the floor."""
         return given.known(floor=given.constant["floor"] + y)
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives, equal for both feet in all frames."""
-        return Changes(feet=-np.ones((len(at.times), len(at.joints.feet), 1, 1)))
+        return Changes(feet=-np.ones((len(at.x), len(at.joints.feet), 1, 1)))
 
 
 @dataclass(frozen=True)
-class Posture(Isotropic):
+class Posture(Unknown):
     """Rotation of the prior's mean of each joint in its parent's axes.
 
     Moves the means of the pose prior (`PosePrior.moved`), as a known posture does, and keeps their covariance.
@@ -447,7 +339,11 @@ class Posture(Isotropic):
     places: tuple[int, ...]  # Of these joints among those of the pose prior in the problem
     sigma: float  # [rad] per axis
     name = "posture"
-    width = 3
+
+    @property
+    def covariance(self) -> Array:
+        """(3K, 3K), joint after joint."""
+        return np.eye(3 * len(self.items)) * self.sigma**2
 
     @classmethod
     def of(cls, turning: Sequence[str], sigma: float) -> Self:
@@ -480,9 +376,7 @@ class Posture(Isotropic):
 def open_sensors(priors: CalibrationPriors, skeleton: SkeletonModel, sensors: tuple[str, ...]) -> Iterator[Unknown]:
     """Yield the unknowns of sensors on segments that priors leave open, in the order in which they correct."""
     if priors.sigma_heading is not None:
-        yield Heading(sensors, priors.sigma_heading, priors.sigma_heading_drift)
+        yield Heading(sensors, priors.sigma_heading)
     if priors.sigma_swing is not None:
         axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
         yield Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist)
-    if priors.sigma_lever_arm is not None:
-        yield LeverArm(sensors, priors.sigma_lever_arm)

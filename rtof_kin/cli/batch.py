@@ -37,7 +37,7 @@ def batch(
     Args:
         source: folder, or manifest.csv
         chain: commands separated by commas, each with its options, as 'reconstruct --calibrate, report --weight 70'
-        memory_per_job: none is started while less is available; 0: not looked at
+        memory_per_job: as many run at once as fit into the memory available at the start; 0: not looked at
         engine: processes of this machine, or a Ray cluster (extra: cluster)
         address: of the Ray cluster; default: RAY_ADDRESS, else this machine
         shard: only this one of N parts, for arrays of jobs, as 3/10

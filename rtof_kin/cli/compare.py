@@ -153,7 +153,7 @@ def study(
     from rtof_kin.core.jobs import open_runs
     from rtof_kin.recording.recording import Recording
     from rtof_kin.reporting.document import show
-    from rtof_kin.reporting.sensor_study.document import document, remove_results, unused_removed, write_study
+    from rtof_kin.reporting.sensor_study.document import document, remove_results, write_study
     from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
     limit_threads(threads)
@@ -166,7 +166,7 @@ def study(
     remove_results(output)
     sensors = len(source.imus.names) if source.imus is not None else 0
     out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
-    with job_progress("study") as update, without_warnings("rtof_kin"), unused_removed(output):
+    with job_progress("study") as update, without_warnings("rtof_kin"):
         found = study_sensors(
             source,
             greedy=greedy,

@@ -219,7 +219,7 @@ Threads = Annotated[
     ),
 ]
 Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
-SOLVER: Final = Fields("frames space backend guards lift_with_sensors", group="Solver")
+SOLVER: Final = Fields("frames space guards lift_with_sensors", group="Solver")
 """Fields of `ReconstructionSettings` that are options."""
 Start = Annotated[float | None, Parameter(metavar="S", help="begin at this time")]
 Stop = Annotated[float | None, Parameter(metavar="S", help="end at this time")]

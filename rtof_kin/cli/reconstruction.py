@@ -40,13 +40,13 @@ def solver_settings(
     """
     if paper and settings.space == "joint":
         raise InvalidInputError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
-    if mode in ("lift", "sf2") and (paper or settings.space or settings.backend):
-        raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
+    if mode in ("lift", "sf2") and (paper or settings.space):
+        raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space and --paper")
     if (paper or settings.space == "cartesian") and (mode == "imu" or calibrate_only):
         what = "calibration" if calibrate_only else "mode imu"
         named = "--paper" if paper else "--space cartesian"
         raise InvalidInputError(f"{what} is solved in joint space; leave out {named}")
-    return settings.with_fragment(CartesianSettings.paper(settings.backend or "ipopt")) if paper else settings
+    return settings.with_fragment(CartesianSettings.paper()) if paper else settings
 
 
 @command

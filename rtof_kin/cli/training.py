@@ -33,7 +33,6 @@ def train(
     output: Annotated[Path, written("model to write", "FILE")] = Path("model.pt"),
     resume: bool = False,
     initial: Annotated[str | None, Parameter(metavar="MODEL")] = None,
-    network: Annotated[Literal["rays", "videopose3d"], Trained] = "rays",
     noise: Annotated[Literal["mixed", "perfect", "realistic", "independent"], Trained] = "mixed",
     camera_at: Annotated[tuple[float, float] | None, Trained, Parameter(metavar="DISTANCE HEIGHT")] = None,
     settings: Annotated[
@@ -41,7 +40,6 @@ def train(
         Fields(
             "windows minutes channels dropout causal prior batch learning_rate weight_decay ema bfloat16 "
             "validation_windows device seed deterministic same_windows",
-            threads="draw-threads",
             of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),
@@ -53,8 +51,8 @@ def train(
     CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by subject once and for
     all. Or train on a dataset that you have: Total Capture's paper split (S1-S3 without the test takes) or Human3.6M's
     (S1, S5-S8). Such weights are yours to keep, under the dataset's terms; --model takes the file in every command.
-    Several processes or machines: torchrun --nproc-per-node 2 -m rtof_kin.cli train ... Defaults of videopose3d are the
-    published ones. A training ends at --windows or --minutes, after 45 minutes without either.
+    Several processes or machines: torchrun --nproc-per-node 2 -m rtof_kin.cli train ... A training ends at
+    --windows or --minutes, after 45 minutes without either.
 
     Args:
         corpus: folder, or .npz made from one
@@ -62,7 +60,6 @@ def train(
         human36m: folder of Human3.6M's archives, instead
         resume: go on where a run was interrupted
         initial: begin with the weights of this model; a file, or a shipped one by name
-        network: the package's own, or the baseline: VideoPose3D with its published recipe
         noise: 2D to train for: exact (5-7 mm better on ground truth), a real detector's, with errors of each joint
             alone, or all of these
         camera_at: one location of all virtual cameras, m, from any side; if not given, each window has its own
@@ -72,8 +69,8 @@ def train(
     from lifting.training.train import figure_file
     from lifting.training.train import train as learn
 
-    usual = {} if {"minutes", "windows"} & {*settings} else {"minutes": DEFAULT_MINUTES}
-    config = TrainConfig.for_model(network, **usual, **settings, augment=augmentation(noise, camera_at))
+    usual: dict[str, Any] = {} if {"minutes", "windows"} & {*settings} else {"minutes": DEFAULT_MINUTES}
+    config = TrainConfig(**usual, **settings, augment=augmentation(noise, camera_at))
     takes = _corpus(corpus, total_capture, human36m)
     text = "{task.fields[note]}"
     columns = TextColumn("training"), BarColumn(), TextColumn(text)

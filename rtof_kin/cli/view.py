@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Browser, Fields, File, Fps, Overwrite, Start, Stop, command
-from rtof_kin.cli.terminal import STYLES, line, out, progress, remark, say
+from rtof_kin.cli.terminal import STYLES, line, progress, remark, say
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.view.overlay_settings import OverlaySettings
 
@@ -28,12 +28,11 @@ Page = Parameter(group="One file that opens offline, instead of a server")
 
 @command
 def view(
-    motion: Path | None = None,
+    motion: Path,
     /,
     *,
     video: list[Path] | None = None,
     beside: Annotated[Path | None, Parameter(metavar="OUT_B")] = None,
-    live: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
     port: Annotated[int, Parameter(metavar="N")] = 0,
     browser: Browser = True,
     html: Annotated[Path | None, Page, Parameter(metavar="FILE")] = None,
@@ -53,30 +52,21 @@ def view(
         motion: output folder of reconstruct or run, or its motion.h5
         video: video of the camera, shown in its frustum; several times for several cameras, in their order
         beside: another motion beside it, e.g. of another setting
-        live: show rtof-kin live instead; ADDRESS is the one it printed, with its token
         port: of the page; 0: a free one
         html: file to write
         limit: size of the file; longer motions are thinned out
     """
-    if (motion is None) == (live is None):
-        raise InvalidInputError("name the output folder of a motion, or --live ADDRESS")
-    if live is not None:
-        if html or video or beside:
-            raise InvalidInputError("--live shows the live estimator alone; leave out --html, --video, --beside")
-        _live(live, port, browser)
-        return
-    assert motion is not None
     if html is not None and video:
         raise InvalidInputError("--html: the file has no video; leave out --video")
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.view.local_server import local_server
     from rtof_kin.view.static_page import write_static_page
-    from rtof_kin.view.viewer import MotionFiles, MotionViewer
+    from rtof_kin.view.viewer import MotionViewer, motion_files
 
     with ExitStack() as stack:
         if html is not None:
             check_new_file(html, overwrite)
-        files = stack.enter_context(MotionFiles(motion, beside))
+        files = stack.enter_context(motion_files(motion, beside))
         _print_files(files, motion, beside)
         if html is None:
             server = stack.enter_context(local_server(port, "rtof_kin view"))
@@ -102,20 +92,6 @@ def view(
         f"wrote {page.path}: {page.size_mb:.1f} MB, {page.frames} frames at {page.rate_hz:.3g} Hz{thinned}; "
         "opens in any browser without a network"
     )
-
-
-def _live(address: str, port: int, browser: bool) -> None:
-    from rtof_kin.view.live_client import LiveClient, live_address
-    from rtof_kin.view.local_server import local_server
-    from rtof_kin.view.viewer import LiveViewer
-
-    url = live_address(address)
-    with LiveClient(url) as client, local_server(port, "rtof_kin live") as server:
-        say(f"shows the estimates of {url}")
-        viewer = LiveViewer(server, client)
-        with _until_interrupted() as end:
-            _open(server, browser)
-            viewer.run(end)
 
 
 def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
@@ -205,7 +181,5 @@ def overlay(
     if result.without_motion:
         say(f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are outside the motion")
     say(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""))
-    if result.encoder == "mpeg4":
-        out.print("this PyAV cannot encode H.264: the file is MPEG-4 part 2, which browsers do not play")
     if video is not None and settings.blur_face:
         say(f"faces: {_OTHERS}; look at the whole film before you pass it on")

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -24,8 +26,8 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
-from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
-from rtof_kin.clinical.comparison_samples import Alignment, Pair, Samples, Spans, align, in_time, over_phases, whole
+from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change, error_of
+from rtof_kin.clinical.comparison_samples import Alignment, Pair, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import BodyPaths
@@ -107,19 +109,31 @@ class Compared:
 class AngleComparison:
     """One angle of A against B."""
 
-    name: str
+    pair: Pair  #: Samples of A and B: curves over time, strides or repetitions, or all of a recording
     positive: str  #: The movement that is positive
     changes: tuple[Change, ...]
     """Of the mean angle and of the range of motion; of the range alone without a common axis."""
-    share: float  #: Share of the common frames, or of all repeats, that are compared
-    repeats: tuple[int, int]  #: Strides or repetitions of A and B that are compared; 1 for other axes
     errors: CurveErrors | None  #: Of the curves; None without a common axis
-    curves: tuple[Array, Array] | None
-    """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
-    sigmas: tuple[Array | None, Array | None] = (None, None)
-    """(P,) rad, standard deviations of the curves; None without bands."""
-    repeated: tuple[Samples, Samples] | None = None  #: Single strides or repetitions of A and B; None for other axes
-    paired: bool = False  #: Whether these are the same repeats
+
+    @property
+    def name(self) -> str:
+        """Name of the angle."""
+        return self.pair.name
+
+    @property
+    def repeats(self) -> tuple[int, int]:
+        """Strides or repetitions of A and B that are compared; 1 for other axes."""
+        return len(self.pair.a.values), len(self.pair.b.values)
+
+    @cached_property
+    def curves(self) -> tuple[Array, Array]:
+        """(P,) rad of A and B on the common axis (means over repeats)."""
+        return self.pair.a.curve, self.pair.b.curve
+
+    @cached_property
+    def sigmas(self) -> tuple[Array | None, Array | None]:
+        """(P,) rad, standard deviations of the curves; None without bands."""
+        return self.pair.a.curve_sigma, self.pair.b.curve_sigma
 
     @property
     def difference_sigma(self) -> Array | None:
@@ -130,7 +144,7 @@ class AngleComparison:
     @property
     def outside(self) -> float:
         """Share of the samples in which 0 is outside the 95 % band of B - A; NaN without bands."""
-        if self.curves is None or self.difference_sigma is None:
+        if self.errors is None or self.difference_sigma is None:
             return float("nan")
         size = np.abs(self.curves[1] - self.curves[0])
         known = np.isfinite(size)
@@ -250,7 +264,7 @@ def compare(
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
     positive = {row.name: row.positive for row in a.angles.rows}
-    angles = [replace(one, positive=positive[one.name]) for one in _tested(pairs, by, axis)]
+    angles = _tested(pairs, by, axis, positive)
     ordered = tuple(sorted(angles, key=lambda one: -abs(one.changes[0].difference)))
     return Comparison(a, b, by, axis, ordered, left_out, shift, alignment, kind if by == "repetition" else "")
 
@@ -315,38 +329,21 @@ def _span(one: Compared) -> str:
     return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
 
 
-def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComparison]:
-    """Differences of all angles, tested together; the movement that is positive is not filled in."""
+def _tested(pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str]) -> list[AngleComparison]:
+    """Differences of all angles, tested together."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
-    changes = adjusted(
-        [
-            change(
-                measure,
-                getattr(pair.a, measure)(),
-                getattr(pair.b, measure)(),
-                "none" if not repeated else "paired" if pair.paired else "independent",
-                tested=repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE,
-            )
-            for pair in pairs
-            for measure in measures
-        ]
-    )
-    out, count = [], len(measures)
-    for number, pair in enumerate(pairs):
-        own = changes[count * number : count * (number + 1)]
-        repeats = (len(pair.a.values), len(pair.b.values))
-        one = AngleComparison(pair.name, "", own, pair.share, repeats, None, None)
-        if axis is not None:
-            curves = pair.a.curve, pair.b.curve
-            one = replace(
-                one,
-                errors=curve_errors(axis, *curves),
-                curves=curves,
-                sigmas=(pair.a.curve_sigma, pair.b.curve_sigma),
-                repeated=(pair.a, pair.b) if repeated else None,
-                paired=pair.paired,
-            )
-        out.append(one)
+    changes = []
+    for pair in pairs:
+        kind: Repeats = "none" if not repeated else "paired" if pair.paired else "independent"
+        for measure in measures:
+            a, b = (getattr(one, measure)() for one in (pair.a, pair.b))
+            tested = repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE
+            changes.append(change(measure, a.mean, b.mean, error_of(a, b, kind), tested))
+    found = iter(adjusted(changes))
+    out = []
+    for pair in pairs:
+        errors = None if axis is None else curve_errors(axis, pair.a.curve, pair.b.curve)
+        out.append(AngleComparison(pair, positive[pair.name], tuple(islice(found, len(measures))), errors))
     return out
 
 

@@ -1,25 +1,26 @@
 """Differences B - A between two motions with stated errors, and their tests (docs/compare.md, docs/follow.md).
 
-The variance V of a difference is the sum of these parts, as if the errors of A and B were independent. Of one recording
-they are not; those that both share cancel, and V is too large.
+The variance of a difference is the sum of these parts, as if the errors of A and B were independent. Of one recording
+they are not; those that both share cancel, and it is too large.
 
 - The stated error of each mean: the mean of the standard deviations s(t) over T frames or strides, which by Cauchy and
   Schwarz never claims too little, whatever the correlation of the error. Of a range: `range_of_motion.range_deviation`.
 - The spread d^2 / n of each over n strides or repetitions: another day's mean would differ by that. A single repeat
   takes d from the other motion; both sides in the same repetitions have one d, that of the differences.
 
-B - A over sqrt(V) is tested against Student's t, two-sided, with the degrees of freedom of Welch and Satterthwaite, in
-which stated standard deviations count as known. The p-values of all angles are adjusted by Holm (Scandinavian Journal
-of Statistics 6, 1979), so that the chance of even one false "changed" among them is at most `LEVEL`.
-
-**Mixed error** e ~ N(0, K + v): K is known (stated bands); v is estimated by s^2 with nu degrees of freedom,
-nu s^2 / v ~ chi^2_nu (repeats). The two-sided p-value of a difference d averages over what s^2 leaves open of v::
+So the error is e ~ N(0, K + v): K is known (stated bands); v is estimated by s^2 with nu degrees of freedom,
+nu s^2 / v ~ chi^2_nu (repeats; of two motions s^2 is the sum of both, and nu Welch's). The two-sided p-value of a
+difference d averages over what s^2 leaves open of v::
 
     p(d) = E[2 Phi(-|d| / sqrt(K + nu s^2 / x))],   x ~ chi^2_nu
 
 the distribution of Behrens and Fisher (Fisher, Annals of Eugenics 6, 1935) with one of the variances known. Its false
-positives never exceed the level (tests/clinical/test_comparison_change.py). Degrees of freedom by Satterthwaite do not
-keep small levels, at which multiple tests are decided: with nu = 2 and K = 0.1 v there are 16 times too many at 0.1 %.
+positives never exceed the level (tests/clinical/test_comparison_change.py). Degrees of freedom by Satterthwaite of the
+whole do not keep small levels, at which multiple tests are decided: with nu = 2 and K = 0.1 v, 16 times too many at
+0.1 %.
+
+The p-values of all angles are adjusted by Holm (Scandinavian Journal of Statistics 6, 1979), so that the chance of even
+one false "changed" among them is at most `LEVEL`.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _TAIL: Final = 1e-13  # probability left out at either end
 
 @dataclass(frozen=True)
 class MixedError:
-    """Normal error with mean 0."""
+    """Normal error with mean 0 and a partly estimated variance."""
 
     known: float = 0.0  #: Known variance, unit^2
     estimated: float = 0.0  #: Estimated variance, unit^2
@@ -49,13 +50,18 @@ class MixedError:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation, estimated."""
-        return float(np.sqrt(self.known + self.estimated))
+        """Standard deviation; NaN where nothing states it."""
+        return float(np.sqrt(self.known + self.estimated)) or float("nan")
 
     @property
     def effective_dof(self) -> float:
         """Degrees of freedom of the whole variance by Satterthwaite; infinite if nothing is estimated."""
         return self.dof * ((self.known + self.estimated) / self.estimated) ** 2 if self.estimated else np.inf
+
+    @property
+    def mdc95(self) -> float:
+        """Minimal detectable change between two values with this error, of this measure alone; NaN without one."""
+        return MixedError(2 * self.known, 2 * self.estimated, self.dof).half_width(LEVEL)
 
     def p(self, difference: float) -> float:
         """Return the two-sided p-value of a difference, in the unit of the error."""
@@ -131,14 +137,16 @@ class Change:
     measure: str  #: 'mean' or 'range'
     a: float  #: [rad] of motion A
     b: float  #: [rad] of motion B
-    sigma: float  #: [rad] standard deviation of the difference; NaN if unknown
-    dof: float  #: Degrees of freedom of `sigma`; infinite if it is from bands alone
+    error: MixedError  #: Of the difference
     p: float  #: Two-sided p-value of this test alone; NaN if not tested
     p_adjusted: float = float("nan")  #: Holm's, over all tests of the comparison
     detectable: float = float("nan")
     """[rad] a difference of this size is called changed whatever the other angles show."""
-    error: MixedError | None = None
-    """Distribution of the error of the difference; None for Student's t with `sigma` and `dof`."""
+
+    @property
+    def sigma(self) -> float:
+        """[rad] standard deviation of the difference; NaN if unknown."""
+        return self.error.sigma
 
     @property
     def difference(self) -> float:
@@ -148,14 +156,8 @@ class Change:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the difference, rad, of this angle alone (without Holm's correction)."""
-        half = self.half_width(LEVEL)
+        half = self.error.half_width(LEVEL)
         return self.difference - half, self.difference + half
-
-    def half_width(self, level: float) -> float:
-        """Return the difference whose p-value is a level; NaN if the error is unknown."""
-        if self.error is not None:
-            return self.error.half_width(level)
-        return float(stats.t.ppf(1 - level / 2, self.dof)) * self.sigma
 
     @property
     def verdict(self) -> Verdict:
@@ -165,42 +167,27 @@ class Change:
         return Verdict.CHANGED if self.p_adjusted <= LEVEL else Verdict.NOT_SHOWN
 
 
-def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: bool = True) -> Change:
-    """Return a difference with its test, not yet adjusted for others; repeats: what their values are, see `Repeats`."""
-    bands = a.band_sigma**2 + b.band_sigma**2
-    spreads: list[tuple[float, float]] = []
-    if repeats == "independent":
-        spreads = [_of_spread(a, b), _of_spread(b, a)]
-    elif repeats == "paired":
-        both = Measured(b.values - a.values, 0.0)
-        spreads = [_of_spread(both, both)]
-    variance = bands + sum(part for part, _ in spreads)
-    weight = sum(part**2 / dof for part, dof in spreads)
-    dof = variance**2 / weight if weight > 0 else np.inf
-    difference, sigma = b.mean - a.mean, float(np.sqrt(variance))
-    p = float("nan")
-    if tested and sigma > _NO_SIZE and np.isfinite(difference):
-        p = float(2 * stats.t.sf(abs(difference) / sigma, dof))
-    return Change(measure, a.mean, b.mean, sigma if sigma > _NO_SIZE else float("nan"), float(dof), p)
+def change(measure: str, a: float, b: float, error: MixedError, tested: bool = True) -> Change:
+    """Return a difference b - a with its test, not yet adjusted for others; not tested if nothing states its error."""
+    if not error.sigma > _NO_SIZE:
+        error = MixedError()
+    tested &= bool(np.isfinite(error.sigma + b - a))
+    return Change(measure, a, b, error, error.p(b - a) if tested else float("nan"))
 
 
-def change_with(measure: str, a: float, b: float, error: MixedError) -> Change:
-    """Return a difference whose error has a known distribution, not yet adjusted for others; a, b: of both, in one
-    unit; error: of the difference; not tested if it has none.
-    """
-    p, known = float("nan"), error.sigma > _NO_SIZE
-    if known and np.isfinite(b - a):
-        p = error.p(b - a)
-    sigma = error.sigma if known else float("nan")
-    return Change(measure, a, b, sigma, error.effective_dof, p, error=error if known else None)
-
-
-def _of_spread(own: Measured, other: Measured) -> tuple[float, float]:
-    """Variance, rad^2, of the mean over repeats, and its degrees of freedom; (0, inf) if it is unknown."""
-    known = own if len(own.values) > 1 else other
-    if len(known.values) < 2:
-        return 0.0, np.inf
-    return known.spread**2 / len(own.values), len(known.values) - 1.0
+def error_of(a: Measured, b: Measured, repeats: Repeats) -> MixedError:
+    """Return the error of the difference of two means; repeats: what their values are."""
+    bands, own = a.band_sigma**2 + b.band_sigma**2, [one for one in (a, b) if len(one.values) > 1]
+    if repeats == "none" or not own:
+        return MixedError(bands)
+    if repeats == "paired":
+        return MixedError(bands, Measured(b.values - a.values, 0.0).spread ** 2 / len(a.values), len(a.values) - 1.0)
+    if len(own) == 1:  # the other motion has a single repeat
+        count = len(own[0].values)
+        return MixedError(bands, own[0].spread ** 2 * (1 + 1 / count), count - 1.0)
+    parts = [(one.spread**2 / len(one.values), len(one.values) - 1.0) for one in own]
+    spread, weight = sum(part for part, _ in parts), sum(part**2 / dof for part, dof in parts)
+    return MixedError(bands, spread, spread**2 / weight if weight else np.inf)
 
 
 def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
@@ -209,5 +196,5 @@ def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
     out, largest = list(changes), 0.0
     for rank, i in enumerate(sorted(tested, key=lambda i: changes[i].p)):
         largest = max(largest, min(1.0, (len(tested) - rank) * changes[i].p))
-        out[i] = replace(changes[i], p_adjusted=largest, detectable=changes[i].half_width(LEVEL / len(tested)))
+        out[i] = replace(changes[i], p_adjusted=largest, detectable=changes[i].error.half_width(LEVEL / len(tested)))
     return tuple(out)

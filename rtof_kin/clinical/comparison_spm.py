@@ -81,10 +81,10 @@ def compare_spm(found: Comparison) -> ComparisonSpm:
 
 def _untestable(one: AngleComparison) -> str:
     """Why an angle has no test; '' if it has."""
-    if one.repeated is None or min(one.repeats) < FEWEST:
+    if min(one.repeats) < FEWEST:
         return f"{one.repeats[0]} and {one.repeats[1]} repeats; {FEWEST} of each are needed"
-    a, b = (samples.values for samples in one.repeated)
-    spreads = (b - a,) if one.paired else (a, b)
+    a, b = one.pair.a.values, one.pair.b.values
+    spreads = (b - a,) if one.pair.paired else (a, b)
     if min(float(own.std(axis=0, ddof=1).min()) for own in spreads) < _NO_SPREAD:
         return "all repeats have the same value"
     return ""
@@ -92,9 +92,8 @@ def _untestable(one: AngleComparison) -> str:
 
 def _tested(one: AngleComparison, level: float) -> AngleSpm:
     spm1d = optional("spm1d", "clinical", "statistical parametric mapping")
-    assert one.repeated is not None
-    a, b = (samples.values for samples in one.repeated)
-    field = spm1d.stats.ttest_paired(b, a) if one.paired else _welch(spm1d, a, b)
+    a, b = one.pair.a.values, one.pair.b.values
+    field = spm1d.stats.ttest_paired(b, a) if one.pair.paired else _welch(spm1d, a, b)
     inference = field.inference(alpha=level, two_tailed=True, interp=True)
     last = a.shape[1] - 1
     clusters = []
@@ -107,7 +106,7 @@ def _tested(one: AngleComparison, level: float) -> AngleSpm:
         np.asarray(field.z, dtype=float),
         float(field.df[1]),
         float(inference.zstar),
-        one.paired,
+        one.pair.paired,
         one.repeats,
         tuple(clusters),
     )
@@ -127,11 +126,10 @@ def _welch(spm1d: Any, a: Array, b: Array) -> Any:
 
 def _beyond(one: AngleComparison, start: float, stop: float) -> bool | None:
     """Whether B - A exceeds its band of lasting errors between two phases; None without bands."""
-    assert one.repeated is not None
-    bands = [own.sigma.mean(axis=0) ** 2 for own in one.repeated if own.sigma is not None]
+    bands = [own.sigma.mean(axis=0) ** 2 for own in (one.pair.a, one.pair.b) if own.sigma is not None]
     if not bands:
         return None
-    a, b = (samples.curve for samples in one.repeated)
+    a, b = one.curves
     phases = np.linspace(0, 1, len(a))
     inside = (phases >= start - 1e-9) & (phases <= stop + 1e-9)
     if not inside.any():  # between two phases

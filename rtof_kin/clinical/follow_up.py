@@ -8,18 +8,15 @@ verdict is at most 5 %. Trial t of visit v, one of n_v, gives (docs/follow.md)
     y_vt = mu_v + a + c_v + m_vt + w_vt
 
 with the true value mu_v, the error a that all visits share, which cancels in a change, c_v that the trials of a visit
-share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together,
-which `BandShares` divides; by default all of it is c, which claims least. Trials vary within visits by the variance W^2
-of m + w. m is in both, and counted once. The error of a visit's mean that counts in a change is
+share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together; all
+of it counts as c, which claims least. Trials vary within visits by the variance W^2 of m + w. The error of a visit's
+mean is ::
 
-::
+    V_v = B_v^2 + W^2 / n_v
 
-    V_v = Var(c) + W^2 / n_v,     Var(c) = B_v^2 (1 - share of a) - min(B_v^2 (share of m), W^2)
-
-and without repeated trials B_v^2 (share of c + share of m / n_v). The minimal detectable change of a standard error of
-measurement (SEM) is MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59,
-2006), with Student's t in place of 1.96 where the SEM is estimated from few trials, and `MixedError` where it is partly
-so.
+and without repeated trials B_v^2. The minimal detectable change of a standard error of measurement (SEM) is
+MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59, 2006), with Student's
+t in place of 1.96 where the SEM is estimated from few trials, and `MixedError` where it is partly so.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, MixedError, Verdict, adjusted, change_with
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, MixedError, Verdict, adjusted, change
 from rtof_kin.clinical.visits import (
     BETTER,
     BETTERS,
@@ -52,95 +49,44 @@ POWER: Final = 0.8  #: Probability with which a change of the size `shown_mostly
 
 
 @dataclass(frozen=True)
-class BandShares:
-    """How the variance of the bands is divided; what is left is independent from trial to trial."""
-
-    all_visits: float = 0.0  #: Share of the error that all visits have in common, which cancels in a change
-    visit: float = 1.0  #: Share of the error that the trials of one visit have in common
-
-    def __post_init__(self) -> None:
-        if not (min(self.all_visits, self.visit) >= 0 and self.all_visits + self.visit <= 1 + 1e-12):
-            raise InvalidInputError(
-                f"shares of the bands: {self.all_visits:g} of all visits and {self.visit:g} of a visit; "
-                "give numbers from 0 to 1 that together are at most 1"
-            )
-
-    @property
-    def trial(self) -> float:
-        """Share of the error that is independent from trial to trial."""
-        return max(0.0, 1.0 - self.all_visits - self.visit)
-
-
-@dataclass(frozen=True)
-class Sem:
-    """A standard error of measurement."""
-
-    error: MixedError  #: Of one value; without a variance where nothing states it
-
-    @property
-    def sem(self) -> float:
-        """In the unit of the measure; NaN where nothing states it."""
-        return self.error.sigma or float("nan")
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom; infinite if it is stated."""
-        return self.error.effective_dof
-
-    @property
-    def mdc95(self) -> float:
-        """Minimal detectable change between two such values, of this measure alone; NaN without a SEM."""
-        return _sum(self.error, self.error).half_width(LEVEL)
-
-
-@dataclass(frozen=True)
 class MeasurementErrors:
-    """The three standard errors of one measure, and what changes of it are tested with."""
+    """The three standard errors of measurement of one measure; an error without a variance is stated by nothing."""
 
-    bands: Sem
+    bands: MixedError
     """Of the value of a visit, from its bands: detector, sensors, camera, mounting, model. Without the
-    variation of the person, and without the share that cancels in a change."""
-    trials: Sem
+    variation of the person."""
+    trials: MixedError
     """Of the value of one trial, from repeated trials: variation of the person, and errors of measurement
     that differ from trial to trial. Without errors that the trials of a visit share."""
-    both: Sem
+    both: MixedError
     """Of the value of a visit: all of these; of a typical visit (mean variance over visits)."""
-    within: tuple[float, float]
-    """Mean square within visits, unit^2, and its degrees of freedom; (NaN, 0) without repeated trials."""
-    shares: BandShares
 
     def of_visit(self, one: Measured) -> MixedError:
-        """Return the error of the mean of a visit that counts in a change."""
-        return _visit_errors(one, self.within, self.shares)
+        """Return the error of the mean of a visit."""
+        return self.of_change(one)
 
-    def of_value(self, one: Measured) -> MixedError:
-        """Return the error of the value of a visit, with what cancels in a change."""
-        own = self.of_visit(one)
-        return replace(own, known=own.known + self.shares.all_visits * one.band_sigma**2)
-
-    def of_change(self, a: Measured, b: Measured) -> MixedError:
-        """Return the error of the difference of the means of two visits."""
-        return _sum(self.of_visit(a), self.of_visit(b))
+    def of_change(self, *visits: Measured) -> MixedError:
+        """Return the error of the difference of the means of two visits, or of the mean of one; the spread of both is
+        estimated by one mean square.
+        """
+        bands, share = sum(one.band_sigma**2 for one in visits), sum(1 / len(one.values) for one in visits)
+        return MixedError(bands, share * self.trials.estimated, self.trials.dof)
 
     def of_sum(self, a: Measured, b: Measured) -> float:
         """Return the largest standard deviation of the sum of the means of two visits: of shared errors."""
-        first, second = self.of_value(a), self.of_value(b)
-        known = (np.sqrt(first.known) + np.sqrt(second.known)) ** 2
-        return float(np.sqrt(known + first.estimated + second.estimated))
+        return float(np.sqrt(self.of_change(a, b).sigma ** 2 + 2 * a.band_sigma * b.band_sigma))
 
 
-def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> MeasurementErrors:
+def measurement_errors(visits: Sequence[Measured]) -> MeasurementErrors:
     """Return the standard errors of one measure; visits: the values of the trials of each visit, at least one, and the
     mean standard deviation that the bands of a visit state (0: they state none).
     """
-    within = mean_square_within([one.values for one in visits])
-    bands = MixedError(float(np.mean([one.band_sigma**2 for one in visits])) * (1 - shares.all_visits))
-    trials = MixedError(0.0, *within) if within[1] else MixedError()
-    own = [_visit_errors(one, within, shares) for one in visits]
-    both = MixedError(
-        float(np.mean([one.known for one in own])), float(np.mean([one.estimated for one in own])), own[0].dof
-    )
-    return MeasurementErrors(Sem(bands), Sem(trials), Sem(both), within, shares)
+    within, dof = mean_square_within([one.values for one in visits])
+    bands = float(np.mean([one.band_sigma**2 for one in visits]))
+    if not dof:
+        return MeasurementErrors(MixedError(bands), MixedError(), MixedError(bands))
+    spread = float(np.mean([within / len(one.values) for one in visits]))
+    return MeasurementErrors(MixedError(bands), MixedError(0.0, within, dof), MixedError(bands, spread, dof))
 
 
 def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
@@ -157,20 +103,6 @@ def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
 def shown_mostly(error: MixedError, needed: float) -> float:
     """Return the true change that is shown with a probability of `POWER`."""
     return needed + float(stats.norm.ppf(POWER)) * error.sigma
-
-
-def _visit_errors(one: Measured, within: tuple[float, float], shares: BandShares) -> MixedError:
-    band, count = one.band_sigma**2, len(one.values)
-    spread, dof = within
-    if not dof:
-        return MixedError(band * (shares.visit + shares.trial / count))
-    common = band * (1 - shares.all_visits) - min(band * shares.trial, spread)
-    return MixedError(common, spread / count, dof)
-
-
-def _sum(a: MixedError, b: MixedError) -> MixedError:
-    """Of two errors whose estimated variances are from one mean square."""
-    return MixedError(a.known + b.known, a.estimated + b.estimated, min(a.dof, b.dof))
 
 
 _TURN: Final = 2 * np.pi
@@ -218,13 +150,12 @@ class Followed:
     @property
     def sigmas(self) -> Array:
         """(V,) standard deviations of the estimates by bands and repeats; NaN where nothing states them."""
-        known = [np.nan if one is None else self.errors.of_value(one).sigma for one in self.visits]
-        return np.array([sigma if sigma > 0 else np.nan for sigma in known])
+        return np.array([np.nan if one is None else self.errors.of_visit(one).sigma for one in self.visits])
 
     @property
     def half_bands(self) -> Array:
         """(V,) halves of the 95 % intervals of the estimates; NaN where nothing states them."""
-        return np.array([np.nan if one is None else self.errors.of_value(one).half_width(LEVEL) for one in self.visits])
+        return np.array([np.nan if one is None else self.errors.of_visit(one).half_width(LEVEL) for one in self.visits])
 
     def outcome(self, visit: int) -> Outcome:
         """Return the answer for a visit."""
@@ -264,7 +195,7 @@ class Followed:
     def mostly(self, visit: int) -> float:
         """Return the true change that would be shown with a probability of 80 %; NaN if not tested."""
         change = self.changes[visit]
-        if change is None or change.error is None:
+        if change is None:
             return float("nan")
         return shown_mostly(change.error, change.detectable)
 
@@ -301,7 +232,6 @@ def follow_up(
     kind: str = "",
     better: Mapping[str, Better] | None = None,
     names: Sequence[str] = (),
-    shares: BandShares | None = None,
 ) -> FollowUp:
     """Compare the visits of one person with a baseline, measure by measure.
 
@@ -317,7 +247,7 @@ def follow_up(
         InvalidInputError: fewer than two visits, a motion that occurs twice, no common measure, or a trial
             without what is requested. UnknownNameError: a measure that there is not, or no such direction.
     """
-    visits, shares = tuple(visits), shares or BandShares()
+    visits = tuple(visits)
     _check(visits, baseline)
     chosen, kind, why, out = movement(visits, by, kind)
     used = [[one for one in visit.trials if f"{visit.name}, {one.name}" not in out] for visit in visits]
@@ -344,18 +274,14 @@ def follow_up(
         series[measure] = own
     if not series:
         raise InvalidInputError("follow: no measure is observed in the baseline and in another visit")
-    followed = follow_measures(series, baseline, repeated, better or {}, shares)
+    followed = follow_measures(series, baseline, repeated, better or {})
     unlike = [f"{name}: {reason}" for name, reason in out.items() if name not in known]
     causes = (*incomparable(visits, baseline), *unlike)
     return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out)
 
 
 def follow_measures(
-    series: Mapping[Measure, Sequence[Measured | None]],
-    baseline: int,
-    repeated: Repeated,
-    better: Mapping[str, Better],
-    shares: BandShares,
+    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated, better: Mapping[str, Better]
 ) -> tuple[Followed, ...]:
     """Return the errors and changes of measures whose values are known, tested together.
 
@@ -366,7 +292,7 @@ def follow_measures(
         better: measure -> direction that is better, beside `BETTER`.
     """
     directions = BETTER | dict(better)
-    followed = [_followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()]
+    followed = [_followed(measure, own, baseline, repeated, directions) for measure, own in series.items()]
     tested = iter(adjusted([change for one in followed for change in one.changes if change is not None]))
     return tuple(
         replace(one, changes=tuple(None if change is None else next(tested) for change in one.changes))
@@ -415,12 +341,7 @@ def _of_visit(trials: Sequence[Mapping[Measure, Measured]], measure: Measure, re
 
 
 def _followed(
-    measure: Measure,
-    own: Sequence[Measured | None],
-    baseline: int,
-    repeated: Repeated,
-    better: Mapping[str, Better],
-    shares: BandShares,
+    measure: Measure, own: Sequence[Measured | None], baseline: int, repeated: Repeated, better: Mapping[str, Better]
 ) -> Followed:
     if measure.unit == "deg" and not measure.name.endswith("_range") and (first := own[baseline]) is not None:
         middle = np.median(first.values)  # values within half a turn of the baseline
@@ -428,20 +349,20 @@ def _followed(
         own = [one and replace(one, values=one.values - _TURN * turn) for one, turn in zip(own, turns, strict=True)]
     widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
     own = [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
-    errors = measurement_errors([one for one in own if one is not None], shares)
+    errors = measurement_errors([one for one in own if one is not None])
     why_not, first = "", own[baseline]
-    if measure.is_gait and not (repeated is Repeated.TRIALS and errors.within[1]):
+    if measure.is_gait and not (repeated is Repeated.TRIALS and np.isfinite(errors.trials.dof)):
         why_not = (
             "no visit has two trials of it, so nothing says how much it varies from one walk to the next; "
             "record each walk two times or more"
         )
-    elif not errors.both.sem > 0:
+    elif not errors.both.sigma > 0:
         why_not = "nothing states its error: the motions have no bands, and it was not repeated"
     changes: list[Change | None] = []
     for number, one in enumerate(own):
         if number == baseline or one is None or first is None:
             changes.append(None)
             continue
-        found = change_with(measure.name, first.mean, one.mean, errors.of_change(first, one))
-        changes.append(replace(found, p=float("nan")) if why_not else found)
+        found = change(measure.name, first.mean, one.mean, errors.of_change(first, one), not why_not)
+        changes.append(found)
     return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)

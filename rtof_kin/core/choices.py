@@ -9,7 +9,6 @@ Mode = Literal["lift", "sf2", "rto", "rtof", "imu"]
 rtof: SF2, then optimisation on video and IMUs. imu: sensors only, without a camera."""
 Space = Literal["joint", "cartesian"]
 """Variables of the fragment solver: configurations of the skeleton, or joint positions."""
-Backend = Literal["realtime", "ipopt"]  #: Numerical solver of a fragment
 Calibrate = Literal["yes", "given", "no"]
 """'yes': from the recording itself. 'given': an earlier calibration of it was applied."""
 Guard = Literal["sides", "person", "samples", "motion"]
@@ -22,5 +21,4 @@ Compile = Literal["auto", "never"]
 MODES: Final[tuple[Mode, ...]] = get_args(Mode)
 CAMERA_MODES: Final[tuple[Mode, ...]] = MODES[:-1]
 SPACES: Final[tuple[Space, ...]] = get_args(Space)
-BACKENDS: Final[tuple[Backend, ...]] = get_args(Backend)
 GUARDS: Final[tuple[Guard, ...]] = get_args(Guard)

@@ -75,10 +75,8 @@ class Camera:
     def looking_at(
         cls, position: ArrayLike, target: ArrayLike, focal_px: float, width_px: int = 1920, height_px: int = 1080
     ) -> Camera:
-        """Return an upright camera whose optical axis passes through a point.
-
-        Args:
-            position, target: (3,) in world, m. focal_px: focal length, px.
+        """Return an upright camera whose optical axis passes through a point; position, target: (3,) in world, m.
+        focal_px: focal length, px.
         """
         position = np.asarray(position, dtype=float)
         forward = so3.unit(np.asarray(target, dtype=float) - position)
@@ -97,11 +95,7 @@ class Camera:
         return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
 
     def project(self, p_world: ArrayLike) -> Array:
-        """Project points to pixels (..., 2); NaN for points behind the camera.
-
-        Args:
-            p_world: (..., 3) m.
-        """
+        """Project points to pixels (..., 2); NaN for points behind the camera. p_world: (..., 3) m."""
         p = self.to_camera(p_world)
         depth = p[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):

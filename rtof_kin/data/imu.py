@@ -156,11 +156,7 @@ class ImuSequence:
         )
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return sensors in the order of `names`.
-
-        Raises:
-            UnknownNameError: a sensor does not exist.
-        """
+        """Return sensors in the order of `names`. `UnknownNameError`: a sensor does not exist."""
         index = indices_of("sensor", names, self.names)
         return replace(
             self,
@@ -197,11 +193,7 @@ class BoneImuSequence:
         )
 
     def select(self, joints: Sequence[str]) -> Self:
-        """Return the sensors of segments in the order of `joints`.
-
-        Raises:
-            UnknownNameError: a segment has no sensor.
-        """
+        """Return the sensors of segments in the order of `joints`. `UnknownNameError`: a segment has no sensor."""
         index = indices_of("IMU segment", joints, self.joints)
         return replace(
             self,
@@ -213,13 +205,8 @@ class BoneImuSequence:
 
     @classmethod
     def joined(cls, parts: Sequence[Self], times: ArrayLike) -> Self:
-        """Join sensors at given times; `resample` those with other times.
-
-        Args:
-            parts: any number of sensors each. times: (T,) s.
-
-        Raises:
-            InvalidInputError: there are none, or two of the same segment.
+        """Join sensors at given times; `resample` those with other times. parts: any number of sensors each. times:
+        (T,) s. `InvalidInputError`: there are none, or two of the same segment.
         """
         joints = [joint for part in parts for joint in part.joints]
         if not parts or len(set(joints)) < len(joints):
@@ -234,10 +221,8 @@ class BoneImuSequence:
         )
 
     def low_passed(self, cutoff_hz: float) -> Self:
-        """Low-pass filter the accelerations; implausible values are kept and excluded from the filter.
-
-        Args:
-            cutoff_hz: -3 dB frequency, Hz.
+        """Low-pass filter the accelerations; implausible values are kept and excluded from the filter. cutoff_hz: -3 dB
+        frequency, Hz.
         """
         absurd = (np.abs(self.a_world) > _ABSURD_ACCELERATION).any(axis=-1, keepdims=True)
         out = np.where(absurd, np.nan, self.a_world)
@@ -317,11 +302,7 @@ class ImuCalibration:
                 )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
-        """Return the calibration of sensors in the order given.
-
-        Raises:
-            UnknownNameError: a sensor has no calibration.
-        """
+        """Return the calibration of sensors in the order given. `UnknownNameError`: a sensor has no calibration."""
         index = indices_of("calibrated sensor", sensors, self.sensors)
         return replace(
             self,
@@ -334,10 +315,8 @@ class ImuCalibration:
         )
 
     def apply(self, imus: ImuSequence) -> BoneImuSequence:
-        """Return orientations of the segments and accelerations in world without gravity.
-
-        Raises:
-            CalibrationError: a sensor has no calibration.
+        """Return orientations of the segments and accelerations in world without gravity. `CalibrationError`: a sensor
+        has no calibration.
         """
         missing = [name for name in imus.names if name not in self.sensors]
         if missing:

@@ -59,13 +59,8 @@ class Declaration:
             raise InvalidInputError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
 
     def changed(self, **values: Any) -> Self:
-        """Return the declaration with other values of some fields.
-
-        Args:
-            values: by field; None leaves it unchanged.
-
-        Raises:
-            UnknownNameError: an unknown field or value.
+        """Return the declaration with other values of some fields. values: by field; None leaves it unchanged.
+        `UnknownNameError`: an unknown field or value.
         """
         known = [f.name for f in fields(self)]
         unknown = [name for name in values if name not in known]
@@ -74,10 +69,8 @@ class Declaration:
         return replace(self, **{k: v for k, v in values.items() if v is not None})
 
     def rotations(self, quaternions: Array) -> Array:
-        """Return R_inertial_sensor (T, 3, 3), reference with z up; NaN where not finite or zero.
-
-        Args:
-            quaternions: (T, 4) of the file, of any norm.
+        """Return R_inertial_sensor (T, 3, 3), reference with z up; NaN where not finite or zero. quaternions: (T, 4) of
+        the file, of any norm.
         """
         order = [0, 1, 2, 3] if self.quaternion_order == "wxyz" else [3, 0, 1, 2]
         quat_wxyz = np.asarray(quaternions, dtype=np.float64)[..., order]
@@ -134,19 +127,13 @@ class Declaration:
         return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
 
     def filed_quaternions(self, R_inertial_sensor: Array) -> Array:
-        """Invert `rotations`: return the unit quaternions (T, 4) of the file, up to sign.
-
-        Args:
-            R_inertial_sensor: (T, 3, 3).
-        """
+        """Invert `rotations`: return unit quaternions (T, 4) of the file, up to sign; R_inertial_sensor: (T, 3, 3)."""
         quat = so3.known_to_quat_wxyz(self.filed_rotations(R_inertial_sensor))
         return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
 
     def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """Invert `specific_force`: return the accelerations (T, 3) of the file.
-
-        Args:
-            f_sensor: (T, 3) m/s^2. R_inertial_sensor: (T, 3, 3), see `specific_force`.
+        """Invert `specific_force`: return the accelerations (T, 3) of the file; f_sensor: (T, 3) m/s^2.
+        R_inertial_sensor: (T, 3, 3), see `specific_force`.
         """
         if self.gravity == "included" and self.acceleration_axes == "sensor":
             return f_sensor / _METRES[self.acceleration_unit]
@@ -253,11 +240,7 @@ class SensorStream:
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else float("nan")
 
     def between(self, start: float, stop: float) -> SensorStream | None:
-        """Return the samples from start to before stop; None where there are fewer than two.
-
-        Args:
-            start, stop: s.
-        """
+        """Return the samples from start to before stop; None where there are fewer than two. start, stop: s."""
         a, b = np.searchsorted(self.times, [start, stop])
         if b - a < 2:
             return None
@@ -265,11 +248,7 @@ class SensorStream:
         return replace(self, **arrays, quaternion_norm=None)
 
     def imu(self) -> ImuSequence:
-        """Return orientation and specific force for a recording.
-
-        Raises:
-            InvalidInputError: one of them is missing.
-        """
+        """Return orientation and specific force for a recording. `InvalidInputError`: one of them is missing."""
         if self.R_inertial_sensor is None or self.f_sensor is None:
             missing = "orientation" if self.R_inertial_sensor is None else "acceleration"
             raise InvalidInputError(
@@ -319,31 +298,14 @@ class SensorLog:
         return tuple(stream.name for stream in self.streams)
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return sensors in the order of `names`.
-
-        Raises:
-            UnknownNameError: a sensor does not exist.
-        """
+        """Return sensors in the order of `names`. `UnknownNameError`: a sensor does not exist."""
         index = indices_of("sensor", names, self.names)
         return replace(self, streams=tuple(self.streams[i] for i in index))
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Rename sensors, e.g. from serial numbers to segments.
-
-        Raises:
-            UnknownNameError: a sensor does not exist. InvalidInputError: two would have the same name.
+        """Rename sensors, e.g. from serial numbers to segments. `UnknownNameError`: a sensor does not exist.
+        `InvalidInputError`: two would have the same name.
         """
         indices_of("sensor", list(names), self.names)
         streams = [replace(s, name=names.get(s.name, s.name)) for s in self.streams]
         return replace(self, streams=tuple(streams))
-
-    def imus(self) -> tuple[ImuSequence, ...]:
-        """Return orientation and specific force for a recording, sensors with equal times joined.
-
-        Raises:
-            InvalidInputError: a sensor has no orientation or no acceleration.
-        """
-        groups: dict[bytes, list[ImuSequence]] = {}
-        for stream in self.streams:
-            groups.setdefault(stream.times.tobytes(), []).append(stream.imu())
-        return tuple(ImuSequence.joined(group) for group in groups.values())

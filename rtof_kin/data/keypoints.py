@@ -85,11 +85,7 @@ class KeypointSequence:
         )
 
     def on_clock(self, times: Array) -> Self:
-        """Return the frames at their times on another clock; `video_times` stay.
-
-        Args:
-            times: (T,) s.
-        """
+        """Return the frames at their times on another clock; `video_times` stay. times: (T,) s."""
         same = np.array_equal(times, self.times)
         return self if same else replace(self, times=times, own_times=self.video_times)
 
@@ -99,22 +95,15 @@ class KeypointSequence:
         return self.times if self.own_times is None else self.own_times
 
     def resample(self, times: Array) -> Self:
-        """Return the landmarks interpolated linearly to other times; missing frames stay missing.
-
-        Args:
-            times: (T',) s.
-        """
+        """Return the landmarks interpolated linearly to other times; missing frames stay missing. times: (T',) s."""
         if np.array_equal(times, self.times):
             return self
         max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
         return self.interpolated(times, times, max_gap)
 
     def interpolated(self, times: Array, at: Array, max_gap: float) -> Self:
-        """Return the landmarks interpolated linearly.
-
-        Args:
-            times: (T',) s, of the result. at: (T',) s, where to interpolate; may differ by rounding.
-            max_gap: longest gap that is interpolated, s.
+        """Return the landmarks interpolated linearly. times: (T',) s, of the result. at: (T',) s, where to interpolate;
+        may differ by rounding. max_gap: longest gap that is interpolated, s.
         """
         uv = signals.interpolate(self.times, self.uv_px, at, max_gap)
         confidence = signals.interpolate(self.times, self.confidence, at, max_gap)
@@ -132,19 +121,15 @@ class KeypointSequence:
         )
 
     def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight.
-
-        Args:
-            p_world: (n, ..., 3) m. frames: n of the T frames, as an index of arrays.
+        """Project points to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight. p_world: (n, ...,
+        3) m. frames: n of the T frames, as an index of arrays.
         """
         uv = self.camera.project(p_world)
         return uv if self.turning is None else self.turning.in_video(uv, frames)
 
     def in_video(self, frames: Any) -> Array:
-        """Return the detected points (n, L, 2) in pixels of the upright video.
-
-        Args:
-            frames: n of the T frames, as an index of arrays.
+        """Return the detected points (n, L, 2) in pixels of the upright video; frames: n of the T frames, as an index
+        of arrays.
         """
         uv = self.uv_px[frames]
         return uv if self.turning is None else self.turning.in_video(uv, frames)

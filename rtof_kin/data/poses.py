@@ -121,11 +121,8 @@ class PoseSequence:
         return self.with_poses(frames, self.p_world_joint[frames])
 
     def with_poses(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
-        """Return some frames with other poses.
-
-        Args:
-            p_world_joint: (T', J, 3) m.
-            R_world_bone: (T', J, 3, 3); if given, `sigma_rad` becomes NaN, else orientations are kept.
+        """Return some frames with other poses. p_world_joint: (T', J, 3) m. R_world_bone: (T', J, 3, 3); if given,
+        `sigma_rad` becomes NaN, else orientations are kept.
         """
         sigma_rad = self.sigma_rad[frames]
         return replace(

@@ -6,23 +6,67 @@ import ast
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import BeforeValidator, ConfigDict
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
+from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Matrix3, Quaternion, Vector2, Vector3, Vector5
 from rtof_kin.core.files.pickles import read_object_npz
-from rtof_kin.core.files.text import LARGEST_NUMBER, load_json, measurable, read_text
+from rtof_kin.core.files.text import LARGEST_NUMBER, load_json, read_text
 from rtof_kin.data.camera import Camera
 
 CAMERA_IDS = ("54138969", "55011271", "58860488", "60457274")  #: Serial numbers of cameras 0 to 3
 _SIZES_PX = ((1000, 1002), (1000, 1000), (1000, 1000), (1000, 1002))  #: Width and height of their images, px
-_TABLES = ("h36m_cameras_intrinsic_params", "h36m_cameras_extrinsic_params")
 _LARGEST_FILE = 2**22
 _PLAUSIBLE_DISTANCE = (1.0, 30.0)  #: Range of the distance of a camera from the world's origin, m
+
+
+class _Table(InputTable):
+    """Further fields may stand in it."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+class _JsonIntrinsics(_Table):
+    calibration_matrix: Matrix3
+    distortion: Vector5
+
+
+class _JsonExtrinsics(_Table):
+    R: Matrix3
+    t: Annotated[Array, ArrayOf(3, also=((3, 1),))]
+
+
+class _SourceIntrinsics(_Table):
+    id: str
+    center: Vector2
+    focal_length: Vector2
+    radial_distortion: Vector3
+    tangential_distortion: Vector2
+    res_w: Integer
+    res_h: Integer
+
+
+class _SourceExtrinsics(_Table):
+    orientation: Quaternion
+    translation: Vector3
+
+
+_OR_EMPTY: Final = BeforeValidator(lambda value: value or None)
+
+
+class _Json(_Table):
+    intrinsics: dict[str, _JsonIntrinsics]
+    extrinsics: dict[str, dict[str, Annotated[_JsonExtrinsics | None, _OR_EMPTY]]]
+
+
+class _Source(_Table):
+    h36m_cameras_intrinsic_params: list[_SourceIntrinsics]
+    h36m_cameras_extrinsic_params: dict[str, list[Annotated[_SourceExtrinsics | None, _OR_EMPTY]]]
 
 
 def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
@@ -54,59 +98,44 @@ def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
     return cameras
 
 
-# --- the JSON file -------------------------------------------------------------------------------
-
-
 def _read_json(path: Path) -> dict[str, dict[int, Camera]]:
-    top = _table(path, "the file", load_json(path, _LARGEST_FILE))
-    intrinsics = _table(path, "intrinsics", top.get("intrinsics"))
+    table = _Json.of(load_json(path, _LARGEST_FILE), path)
     cameras: dict[str, dict[int, Camera]] = {}
-    for subject, entries in _table(path, "extrinsics", top.get("extrinsics")).items():
-        placed = _table(path, f"extrinsics of {subject}", entries)
-        found = {
-            i: _json_camera(path, i, f"{subject}, camera {name}", intrinsics.get(name), placed[name])
-            for i, name in enumerate(CAMERA_IDS)
-            if placed.get(name)
-        }
-        if found:
-            cameras[subject] = found
+    for subject, placed in table.extrinsics.items():
+        for i, name in enumerate(CAMERA_IDS):
+            if (extrinsic := placed.get(name)) is None:
+                continue
+            if (own := table.intrinsics.get(name)) is None:
+                raise table.error("intrinsics", f"camera {name} of {subject} is missing")
+            where, t_mm = f"{subject}, camera {name}", np.ravel(extrinsic.t)
+            cameras.setdefault(subject, {})[i] = _camera(
+                path, where, own.calibration_matrix, extrinsic.R, t_mm, own.distortion, _SIZES_PX[i]
+            )
     return cameras
-
-
-def _json_camera(path: Path, number: int, where: str, intrinsic: Any, extrinsic: Any) -> Camera:
-    intrinsic = _table(path, f"{where}: intrinsics", intrinsic)
-    extrinsic = _table(path, f"{where}: extrinsics", extrinsic)
-    t_mm = _array(path, where, extrinsic, "t")
-    K = _array(path, where, intrinsic, "calibration_matrix", (3, 3))
-    R = _array(path, where, extrinsic, "R", (3, 3))
-    t_mm = t_mm[:, 0] if t_mm.shape == (3, 1) else t_mm
-    distortion = _array(path, where, intrinsic, "distortion", (5,))
-    return _camera(path, where, K, R, t_mm, distortion, _SIZES_PX[number])
-
-
-# --- VideoPose3D's source ------------------------------------------------------------------------
 
 
 def _read_source(path: Path) -> dict[str, dict[int, Camera]]:
     text = read_text(path, "a list of cameras", _LARGEST_FILE)
-    intrinsics, extrinsics = (_literal(path, text, name) for name in _TABLES)
-    if not isinstance(intrinsics, list) or len(intrinsics) != len(CAMERA_IDS):
-        raise FileFormatError(path, f"{_TABLES[0]} is not a list of four cameras")
-    inner = [_table(path, f"{_TABLES[0]}, camera {i}", entry) for i, entry in enumerate(intrinsics)]
-    ids = tuple(str(entry.get("id", CAMERA_IDS[i])) for i, entry in enumerate(inner))
-    if ids != CAMERA_IDS:
+    table = _Source.of({name: _literal(path, text, name) for name in _Source.model_fields}, path)
+    inner = table.h36m_cameras_intrinsic_params
+    if (ids := tuple(one.id for one in inner)) != CAMERA_IDS:
         raise FileFormatError(path, f"cameras {', '.join(ids)}; expected {', '.join(CAMERA_IDS)}")
     cameras: dict[str, dict[int, Camera]] = {}
-    for subject, entries in _table(path, _TABLES[1], extrinsics).items():
-        if not isinstance(entries, list) or len(entries) != len(CAMERA_IDS):
-            raise FileFormatError(path, f"{_TABLES[1]}: {subject} does not have four cameras")
-        found = {
-            i: _source_camera(path, f"{subject}, camera {i}", inner[i], entry)
-            for i, entry in enumerate(entries)
-            if entry
-        }
-        if found:
-            cameras[subject] = found
+    for subject, entries in table.h36m_cameras_extrinsic_params.items():
+        if len(entries) != len(CAMERA_IDS):
+            raise FileFormatError(path, f"{subject} does not have four cameras")
+        for i, (own, extrinsic) in enumerate(zip(inner, entries, strict=True)):
+            if extrinsic is None:
+                continue
+            where, ((fx, fy), (cx, cy)) = f"{subject}, camera {i}", (own.focal_length, own.center)
+            if abs(np.linalg.norm(extrinsic.orientation) - 1) > 1e-3:
+                raise FileFormatError(path, f"{where}: orientation is not a unit quaternion")
+            R = so3.from_quat_wxyz(extrinsic.orientation).T
+            K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            (k1, k2, k3), (p_x, p_y) = own.radial_distortion, own.tangential_distortion
+            distortion, size = np.array([k1, k2, p_y, p_x, k3]), (own.res_w, own.res_h)
+            t_mm = -R @ extrinsic.translation
+            cameras.setdefault(subject, {})[i] = _camera(path, where, K, R, t_mm, distortion, size)
     return cameras
 
 
@@ -123,50 +152,11 @@ def _literal(path: Path, text: str, name: str) -> Any:
     raise FileFormatError(path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py")
 
 
-def _source_camera(path: Path, where: str, intrinsic: Mapping[str, Any], extrinsic: Any) -> Camera:
-    extrinsic = _table(path, where, extrinsic)
-    (fx, fy), (cx, cy) = (_array(path, where, intrinsic, field, (2,)) for field in ("focal_length", "center"))
-    quat_wxyz = _array(path, where, extrinsic, "orientation", (4,))
-    if abs(np.linalg.norm(quat_wxyz) - 1) > 1e-3:
-        raise FileFormatError(path, f"{where}: orientation is not a unit quaternion")
-    R = so3.from_quat_wxyz(quat_wxyz).T
-    k1, k2, k3 = _array(path, where, intrinsic, "radial_distortion", (3,))
-    p_x, p_y = _array(path, where, intrinsic, "tangential_distortion", (2,))
-    width, height = (_array(path, where, intrinsic, field, ()) for field in ("res_w", "res_h"))
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    t_mm = -R @ _array(path, where, extrinsic, "translation", (3,))
-    distortion = np.array([k1, k2, p_y, p_x, k3])
-    return _camera(path, where, K, R, t_mm, distortion, (int(width), int(height)))
-
-
-# --- both ----------------------------------------------------------------------------------------
-
-
-def _table(path: Path, where: str, value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise FileFormatError(path, f"{where}: missing, or not a table of names and values")
-    return value
-
-
-def _array(path: Path, where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None = None) -> Array:
-    """Return a field's finite numbers, of that shape if one is given."""
-    try:
-        array = np.array(table[field], dtype=np.float64)
-    except KeyError as error:
-        raise FileFormatError(path, f"{where}: {field} is missing") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise FileFormatError(path, f"{where}: {field} is not made of numbers ({error})") from error
-    finite = np.all(np.isfinite(array)) and measurable(array)
-    if (shape is not None and array.shape != shape) or not finite:
-        raise FileFormatError(path, f"{where}: {field} is not finite, or not of shape {shape}: {array.shape}")
-    return array
-
-
 def _camera(
     path: Path, where: str, K: Array, R: Array, t_mm: Array, distortion: Array, size_px: tuple[int, int]
 ) -> Camera:
     try:
-        camera = Camera(K, R, readonly("t", t_mm, (3,)) / 1000, *size_px, distortion)
+        camera = Camera(K, R, t_mm / 1000, *size_px, distortion)
     except InvalidInputError as error:
         raise FileFormatError(path, f"{where}: {error}") from error
     distance = float(np.linalg.norm(camera.center_world))
@@ -202,11 +192,9 @@ class Archives:
     @property
     def path_cameras(self) -> Path:
         """File of cameras; raises `FileFormatError` where there is none."""
-        if self._named_cameras is not None:
-            return self._named_cameras
-        for name in _CAMERA_FILES:
-            if (self.root / name).is_file():
-                return self.root / name
+        paths = [self._named_cameras] if self._named_cameras else [self.root / name for name in _CAMERA_FILES]
+        if found := [path for path in paths if self._named_cameras or path.is_file()]:
+            return found[0]
         raise FileFormatError(
             self.root,
             f"neither {' nor '.join(_CAMERA_FILES)} is in this folder; name the file of "
@@ -237,22 +225,18 @@ class Archives:
 
     def positions(self, subject: str, action: str) -> Array:
         """Return (T, 17, 3) m, world z up; NaN where not finite."""
-        actions = _entry(f"subject in {self.path_3d.name}", self.all_positions, subject)
-        value = _entry(f"action of {subject} in {self.path_3d.name}", actions, action)
+        value = _entry(self.path_3d, self.all_positions, subject, action)
         p = _numbers(self.path_3d, f"{subject} {action!r}", value, (32, 3))[:, JOINTS_OF_32]
         if not np.isfinite(p).all(axis=(1, 2)).any():
-            problem = f"{subject} {action!r}: in no frame are all joints finite"
-            raise FileFormatError(self.path_3d, problem)
+            raise FileFormatError(self.path_3d, f"{subject} {action!r}: in no frame are all joints finite")
         return p
 
     def keypoints(self, subject: str, action: str, camera: int) -> Array:
         """Return (T', 17, 2) px of camera 0 to 3; NaN where not finite. T' may differ from T by some frames."""
-        actions = _entry(f"subject in {self.path_2d.name}", self.all_keypoints, subject)
-        cameras = _entry(f"action of {subject} in {self.path_2d.name}", actions, action)
-        if not isinstance(cameras, list | tuple) or len(cameras) != len(CAMERA_IDS):
-            problem = f"{subject} {action!r}: not a list of four cameras"
-            raise FileFormatError(self.path_2d, problem)
+        cameras = _entry(self.path_2d, self.all_keypoints, subject, action)
         where = f"{subject} {action!r}, camera {camera}"
+        if not isinstance(cameras, list | tuple) or len(cameras) != len(CAMERA_IDS):
+            raise FileFormatError(self.path_2d, f"{where}: not a list of four cameras")
         uv = _numbers(self.path_2d, where, cameras[camera], (17, 2))
         if not np.isfinite(uv).any():
             raise FileFormatError(self.path_2d, f"{where}: there is no finite number")
@@ -260,12 +244,13 @@ class Archives:
 
     def camera(self, subject: str, number: int) -> Camera:
         """Return a subject's camera, 0 to 3."""
-        name = self.path_cameras.name
-        cameras: Mapping[int, Camera] = _entry(f"subject in {name}", self.all_cameras, subject)
-        if number not in cameras:
-            known = [str(i) for i in sorted(cameras)]
+        name, cameras = self.path_cameras.name, self.all_cameras
+        if subject not in cameras:
+            raise UnknownNameError(f"subject in {name}", [subject], by_number(cameras))
+        if number not in cameras[subject]:
+            known = [str(i) for i in sorted(cameras[subject])]
             raise UnknownNameError(f"camera of {subject} in {name}", [str(number)], known)
-        return cameras[number]
+        return cameras[subject][number]
 
 
 def by_number(subjects: Iterable[str]) -> list[str]:
@@ -282,23 +267,24 @@ def _by_subject(path: Path, name: str, value: Any) -> Mapping[str, Mapping[str, 
 def _check_metadata(path: Path, metadata: Any) -> None:
     """Check that the 17 points are Human3.6M's joints and not, for example, COCO's."""
     given = metadata if isinstance(metadata, dict) else {}
-    layout = given.get("layout_name", "h36m")
-    try:
-        sides = [[int(i) for i in side] for side in given.get("keypoints_symmetry", ())]
-    except (TypeError, ValueError):
-        sides = []
-    if given.get("num_joints") != 17 or layout != "h36m" or sides != _SYMMETRY:
+    layout, points = given.get("layout_name", "h36m"), given.get("num_joints")
+    sides = given.get("keypoints_symmetry")
+    ours = isinstance(sides, list | tuple) and [list(side) for side in sides] == _SYMMETRY
+    if points != 17 or layout != "h36m" or not ours:
         raise FileFormatError(
             path,
-            f"metadata: {given.get('num_joints')} points, layout {layout!r}, left and right "
-            f"{sides}; only Human3.6M's own 17 joints can be compared with its positions",
+            f"metadata: {points} points, layout {layout!r}, left and right {sides}; only Human3.6M's own 17 joints "
+            "can be compared with its positions",
         )
 
 
-def _entry(kind: str, table: Mapping[str, Any], name: str) -> Any:
-    if name not in table:
-        raise UnknownNameError(kind, [name], by_number(table))
-    return table[name]
+def _entry(path: Path, table: Mapping[str, Mapping[str, Any]], subject: str, action: str) -> Any:
+    """Return what an archive has of an action."""
+    if subject not in table:
+        raise UnknownNameError(f"subject in {path.name}", [subject], by_number(table))
+    if action not in table[subject]:
+        raise UnknownNameError(f"action of {subject} in {path.name}", [action], by_number(table[subject]))
+    return table[subject][action]
 
 
 def _numbers(path: Path, where: str, value: Any, shape: tuple[int, int]) -> Array:

@@ -43,7 +43,14 @@ from rtof_kin.datasets.total_capture_files import (
     find_files,
     only_one,
 )
-from rtof_kin.datasets.total_capture_truth import RATE_HZ, RIGID_MM, SEGMENT_OF_BONE, WORLD_OF_VICON, read_truth
+from rtof_kin.datasets.total_capture_truth import (
+    RATE_HZ,
+    RIGID_MM,
+    SEGMENT_OF_BONE,
+    WORLD_OF_VICON,
+    read_truth,
+    rotations_of,
+)
 from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_calibration, read_sensors
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.streams import naming
@@ -113,14 +120,10 @@ class Take:
             posture: whether the reference's T-pose is known, as its joint offsets are.
 
         Raises:
-            UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or
-                negative noise or noise on a detector's keypoints.
+            UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or noise on a
+                detector's keypoints.
         """
         self.camera(camera)
-        if not noise_px >= 0 or not np.isfinite(noise_px):
-            raise InvalidInputError(f"noise_px: {noise_px:g} is not a standard deviation")
-        if seed < 0:
-            raise InvalidInputError(f"seed: {seed} is negative")
         if noise_px and keypoints is not None:
             raise InvalidInputError("noise_px: noise is added to true joints only, not to a detector's")
         if keypoints is None:
@@ -209,7 +212,7 @@ class TotalCapture:
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
             raise UnknownNameError(f"take in {self.root}", [" ".join(key)], [" ".join(take) for take in self.takes])
-        truth = read_truth(key, partial(self.index.one, key), partial(self._others, key))
+        truth = read_truth(key, partial(self.index.one, key))
         if truth is None:
             raise FileFormatError(
                 self.root, f"{' '.join(key)} has no gt_skel_gbl_pos.txt and no BVH file: no ground truth"
@@ -233,43 +236,30 @@ class TotalCapture:
             notes=tuple(notes),
         )
 
-    def _others(self, take: tuple[str, str]) -> Iterator[tuple[str, Array]]:
-        """Yield name and joint offsets of the subject's other takes with readable orientations."""
-        for other in self.takes:
-            kinds = {"positions", "orientations"} & set(self.index.files[other])
-            if other[0] != take[0] or other == take or len(kinds) < 2:
-                continue
-            try:
-                truth = read_truth(other, partial(self.index.one, other), tuple)
-            except FileFormatError:
-                continue
-            if truth is not None and np.isfinite(truth.spread_mm):
-                yield " ".join(other), truth.joint_offsets
-
     def _imus(
         self, take: tuple[str, str], frames: int, notes: list[str]
     ) -> tuple[ImuSequence | None, ImuCalibration | None]:
         """Read the sensors that have data, a calibration and a place on the skeleton."""
-        path = self.index.one(take, "sensors")
-        if path is None and (path := self.index.one(take, "aux_sensors")) is not None:
+        path, aux, calib_bone, calib_ref = (
+            self.index.one(take, kind) for kind in ("sensors", "aux_sensors", "calib_bone", "calib_ref")
+        )
+        if path is None and aux is not None:
+            path = aux
             notes.append(f"sensors from {path.name}, as there is no _Xsens.sensors")
-        calib_bone, calib_ref = (self.index.one(take, k) for k in ("calib_bone", "calib_ref"))
         if path is None or calib_bone is None or calib_ref is None:
             return None, None
         table = read_sensors(path)
         bone, ref = read_imu_calibration(calib_bone), read_imu_calibration(calib_ref)
         known = SkeletonModel.default().sensors
-        for where, have in ((path, table.names), (calib_bone, bone), (calib_ref, ref), ("the skeleton", known)):
-            absent = [name for name in {**dict.fromkeys(table.names), **known} if name not in have]
-            if absent:
-                where = where.name if isinstance(where, Path) else where
+        tables = {path.name: table.names, calib_bone.name: bone, calib_ref.name: ref, "the skeleton": known}
+        for where, have in tables.items():
+            if absent := [name for name in dict.fromkeys((*table.names, *known)) if name not in have]:
                 notes.append(f"sensors left out, as they are not in {where}: {', '.join(absent)}")
         names = [name for name in table.names if name in bone and name in ref and name in known]
         if not names:
             return None, None
         imus = _sequence(path, table, names, frames, notes)
-        R_ref = so3.from_quat_wxyz(np.array([np.roll(ref[name], 1) for name in names]))
-        R_bone = so3.from_quat_wxyz(np.array([np.roll(bone[name], 1) for name in names]))
+        R_ref, R_bone = (so3.from_quat_wxyz(np.roll([own[name] for name in names], 1, axis=1)) for own in (ref, bone))
         return imus, ImuCalibration(
             sensors=tuple(names),
             joints=tuple(known[name][0] for name in names),
@@ -285,35 +275,16 @@ def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, not
     if count != frames:
         notes.append(f"{path.name} has {count} frames, the reference {frames}")
     index = indices_of("sensor", names, table.names)
-    R = _sensor_rotations(path, table.quat_wxyz[:, index], names, notes)
+    R, absent = rotations_of(path, table.quat_wxyz[:, index], names)
     f = table.f_sensor[:, index].copy()
     dead = (f == 0).all(axis=-1)
-    for sensor in np.flatnonzero(dead.any(axis=0)):
-        lost = int(dead[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no acceleration in {lost} frames: unknown")
+    for what, lost in (("orientation", absent.sum(axis=0)), ("acceleration", dead.sum(axis=0))):
+        notes += [f"{name}: no {what} in {n} frames: unknown" for name, n in zip(names, lost, strict=True) if n]
     f[dead] = np.nan
     f[:_STAMP_FRAMES] = np.nan
     notes.append(f"accelerations of the first {_STAMP_FRAMES} frames are unknown: a foot may be stamped")
     with naming(path):
         return ImuSequence(np.arange(count) / RATE_HZ, R, f, tuple(names))
-
-
-def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: list[str]) -> Array:
-    """Return R_inertial_sensor (T, S, 3, 3), NaN where a sensor has zeros."""
-    norm = np.linalg.norm(quat_wxyz, axis=-1)
-    absent = norm < 1e-6
-    wrong = ~absent & (np.abs(norm - 1) > 0.01)
-    if wrong.any():
-        frame, sensor = np.argwhere(wrong)[0]
-        raise FileFormatError(
-            path, f"the quaternion of {names[sensor]} in frame {frame + 1} has norm {norm[frame, sensor]:.3g}, not 1"
-        )
-    for sensor in np.flatnonzero(absent.any(axis=0)):
-        lost = int(absent[:, sensor].sum())
-        notes.append(f"{names[sensor]}: no orientation in {lost} frames: unknown")
-    R = so3.from_quat_wxyz(np.where(absent[..., None], [1.0, 0, 0, 0], quat_wxyz))
-    R[absent] = np.nan
-    return R
 
 
 _T_POSE_DEG: Final = 25.0  #: Largest angle of a limb from the T-pose, deg; subjects are up to 20 deg off
@@ -402,8 +373,7 @@ def _check_bones(take: Take) -> Check:
 
 def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
     """Check the median angle between a sensor's segment and the reference's, where that is known."""
-    truth = take.truth
-    count = min(len(truth), len(imus))
+    truth, count = take.truth, min(len(take.truth), len(imus))
     medians_deg: dict[str, float] = {}
     for s, (sensor, joint) in enumerate(zip(sensors, imus.joints, strict=True)):
         j = truth.names.index(joint)
@@ -413,8 +383,7 @@ def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, .
     failed = sum(not median <= _IMU_DEG for median in medians_deg.values())
     advice = "Has the sensor slipped, or is this the calibration of another take?"
     if failed > len(medians_deg) / 2:
-        share = f"{failed} of {len(medians_deg)} sensors"
-        advice = f"{share} fail this: is it the calibration of another take?"
+        advice = f"{failed} of {len(medians_deg)} sensors fail this: is it the calibration of another take?"
     return [
         Check("median angle to the reference's segment", f"sensor {sensor}", value, _IMU_DEG, "deg", advice)
         for sensor, value in medians_deg.items()
@@ -423,15 +392,11 @@ def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, .
 
 def _check_accelerations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> Iterator[Check]:
     """Check the mean of a sensor's acceleration minus gravity and minus the reference's at its place."""
-    truth = take.truth
-    count = min(len(truth), len(imus))
+    truth, count = take.truth, min(len(take.truth), len(imus))
     j = [truth.names.index(joint) for joint in imus.joints]
-    lever = np.einsum("tsij,sj->tsi", truth.R_world_bone[:count, j], imus.p_bone_sensor)
-    p = truth.p_world_joint[:count, j] + lever
-    a_reference = np.full(p.shape, np.nan)
-    if count > 2:
-        a_reference[1:-1] = signals.derivative(p, RATE_HZ, 2)
-    excess = imus.a_world[:count] - a_reference
+    p = truth.p_world_joint[:count, j]
+    p = p + np.einsum("tsij,sj->tsi", truth.R_world_bone[:count, j], imus.p_bone_sensor)
+    excess = imus.a_world[1 : count - 1] - signals.derivative(p, RATE_HZ, 2)
     name = "mean acceleration less gravity and the reference's"
     advice = "Is gravity in the data, in m/s^2, and is the calibration this take's?"
     for s, sensor in enumerate(sensors):

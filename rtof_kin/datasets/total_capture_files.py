@@ -10,7 +10,6 @@ import filecmp
 import logging
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +20,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv, read_npz
+from rtof_kin.core.files.text import read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording.cameras import arranged_keypoints, keypoint_arrays
@@ -56,7 +56,6 @@ _log = logging.getLogger(__name__)
 _TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
 _SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
 _SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
-_NAMES_OF_A_FOLDER = 4  #: Maximum number of paths (by symbolic links) under which a folder is searched
 
 Take = tuple[str, str]  #: Subject and take, e.g. ('S5', 'acting3').
 
@@ -81,11 +80,7 @@ def only_one(candidates: list[Path]) -> Path | None:
         return None
     first, *others = candidates
     for other in others:
-        try:
-            same = filecmp.cmp(first, other, shallow=False)
-        except OSError as error:
-            raise FileFormatError(first, f"cannot be compared with {other} ({error})") from error
-        if not same:
+        if not filecmp.cmp(first, other, shallow=False):
             raise FileFormatError(first, f"{other} claims to be the same file and differs; remove the wrong one")
     return first
 
@@ -99,57 +94,42 @@ def find_files(root: str | Path) -> FileIndex:
     root = Path(root)
     if not root.is_dir():
         raise FileFormatError(root, "there is no such folder; name the one the dataset lies in")
-    index, unreadable = FileIndex(root), list[Path]()
-    for path in sorted(walk(root, unreadable)):
+    index, known = FileIndex(root), set[str]()
+    for path in sorted(walk(root)):
         name = path.name.lower()
-        kind = next((kind for kind, end in KINDS.items() if name.endswith(end)), None)
-        if kind is None and name != CAMERA_FILE:
-            continue
-        take = _take_of(path, root)
-        if not path.is_file():
-            unreadable.append(path)
-        elif kind is None:
+        if name == CAMERA_FILE:
             index.cameras.append(path)
-        elif take is None:
+        kind = next((kind for kind, end in KINDS.items() if name.endswith(end)), None)
+        if kind is None:
+            continue
+        if (take := _take_of(path, root)) is None:
             index.unassigned.append(path)
         else:
             index.files.setdefault(take, {}).setdefault(kind, []).append(path)
-    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
+            known.add(os.path.realpath(path))
     index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]  # second names, of links
     if not index.files:
         problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
         if index.unassigned:
             problem = f"subject and take of {index.unassigned[0]} are not in its path"
         raise FileFormatError(root, f"{problem}; name the folder in which the dataset's archives were unpacked")
-    for paths, reason in ((unreadable, "cannot be read"), (index.unassigned, "subject and take are not in the path")):
-        for path in paths:
-            _log.warning("%s: %s; not used", path, reason)
+    for path in index.unassigned:
+        _log.warning("%s: subject and take are not in the path; not used", path)
     return index
 
 
-def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
-    """Yield the files below a folder, without hidden ones; links are followed, but not in circles."""
-    folders: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
-    visits: Counter[str] = Counter()
-    while folders:
-        folder, above = folders.pop()
-        real = os.path.realpath(folder)
-        visits[real] += 1
-        if real in above or visits[real] > _NAMES_OF_A_FOLDER:
-            continue
-        try:
-            names = os.listdir(folder)
-        except OSError:
-            unreadable.append(folder)
-            continue
-        for name in names:
-            path = folder / name
-            if name.startswith(".") or name == "__MACOSX":
-                continue
-            if os.path.isdir(path):
-                folders.append((path, (*above, real)))
-            else:
-                yield path
+def walk(root: Path) -> Iterator[Path]:
+    """Yield the files below a folder, without hidden ones; links are followed, but not to a folder above them."""
+    for place, folders, names in os.walk(root, followlinks=True):
+        above = os.path.join(os.path.realpath(place), "")
+        folders[:] = [
+            name
+            for name in folders
+            if not name.startswith(".")
+            and name != "__MACOSX"
+            and not above.startswith(os.path.join(os.path.realpath(os.path.join(place, name)), ""))
+        ]
+        yield from (path for name in names if not name.startswith(".") and (path := Path(place, name)).is_file())
 
 
 def _take_of(path: Path, root: Path) -> Take | None:
@@ -177,17 +157,11 @@ def _only_match(pattern: re.Pattern[str], text: str) -> tuple[str, ...] | None:
 LANDMARKS = "landmarks.txt"
 _ARRAYS = ("uv_px", "confidence", "times")
 _OWN_FORMATS = (".npz", ".csv")
+_VIDEO_HZ = 60.0
 
 
 def read_detections(
-    folder: str | Path,
-    subject: str,
-    take: str,
-    number: int,
-    camera: Camera,
-    skeleton: SkeletonModel | None = None,
-    rate_hz: float = 60.0,
-    layout: str | None = None,
+    folder: str | Path, subject: str, take: str, number: int, camera: Camera, layout: str | None = None
 ) -> KeypointSequence:
     """Read the detections in the video of one take and camera.
 
@@ -195,23 +169,17 @@ def read_detections(
     ``cam1.npz`` in folders ``S5/acting3``. An .npz has ``uv_px`` (T, L, 2) and optionally ``confidence`` (T, L) and
     ``times`` (T,), s; its landmarks are listed in a file ``landmarks.txt`` in the folder (by default all joints of the
     skeleton in its order). A .csv has the columns of a recording's keypoints. Without times, frame k is frame k of the
-    video. With a layout they are a detector's own files, of any format in `rtof_kin.vision.keypoint_files` (a folder of
-    .json is named like a file), whose points are converted to landmarks.
-
-    Args:
-        skeleton: that has the landmarks; the 21-joint one by default.
-        rate_hz: frame rate of the video, Hz, for files without times.
-        layout: of a detector's points, or `RECOGNISE`; by default the skeleton's own landmarks. Only for the
-            21-joint skeleton.
+    video. With a layout of a detector's points, or `RECOGNISE`, they are its own files, of any format in
+    `rtof_kin.vision.keypoint_files` (a folder of .json is named like a file), whose points are converted to landmarks.
 
     Raises:
         FileFormatError: no file, different files, or one that is damaged or of another format or layout.
         UnknownNameError: a landmark that the skeleton does not have, or no such layout.
     """
-    skeleton = skeleton or SkeletonModel.default()
+    skeleton = SkeletonModel.default()
     path = _find(Path(folder), subject, take, number, _OWN_FORMATS if layout is None else FORMATS)
     if layout is not None:
-        return _adapted(path, camera, rate_hz, layout)
+        return _adapted(path, camera, layout)
     if path.suffix.lower() == ".csv":
         names, arrays = arranged_keypoints(path, read_csv(path))
     else:
@@ -232,13 +200,13 @@ def read_detections(
         raise UnknownNameError(kind, unknown, list(skeleton.landmarks))
     with naming(path):
         uv, confidence = keypoint_arrays(arrays)
-        return KeypointSequence(camera, arrays.get("times", np.arange(len(uv)) / rate_hz), uv, confidence, names)
+        return KeypointSequence(camera, arrays.get("times", np.arange(len(uv)) / _VIDEO_HZ), uv, confidence, names)
 
 
-def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> KeypointSequence:
+def _adapted(path: Path, camera: Camera, layout: str) -> KeypointSequence:
     """Convert a detector's own file to landmarks; layout and tracked person are logged."""
     found = read_detector_file(path, camera.width_px, camera.height_px)
-    times = np.arange(len(found)) / rate_hz if found.times is None else found.times
+    times = np.arange(len(found)) / _VIDEO_HZ if found.times is None else found.times
     with naming(path):
         adapted = keypoints_from_detections(found, times, camera, None if layout == RECOGNISE else layout)
     _log.info("%s: %s", path, adapted.summary)
@@ -247,12 +215,7 @@ def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> Keypoin
 
 def _landmarks(folder: Path, skeleton: SkeletonModel) -> tuple[str, ...]:
     path = folder / LANDMARKS
-    if not path.is_file():
-        return skeleton.names
-    try:
-        return tuple(path.read_text(encoding="utf-8-sig").split())
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(path, f"not readable ({error})") from error
+    return tuple(read_text(path, "names of landmarks").split()) if path.is_file() else skeleton.names
 
 
 def _find(folder: Path, subject: str, take: str, number: int, formats: Sequence[str]) -> Path:
@@ -266,7 +229,7 @@ def _find(folder: Path, subject: str, take: str, number: int, formats: Sequence[
     def is_wanted(path: Path) -> bool:
         return wanted.fullmatch(path.relative_to(folder).as_posix()) is not None
 
-    every = [p for p in walk(folder, []) if p.suffix.lower() in formats]
+    every = [p for p in walk(folder) if p.suffix.lower() in formats]
     found = [p for p in every if is_wanted(p.with_suffix(""))]
     found += {p.parent for p in every if p.suffix.lower() == ".json" and is_wanted(p.parent)}
     if len(found) > 1 and any(p.is_dir() for p in found):

@@ -6,7 +6,7 @@ are x to the subject's right, y backward, z down, ours x forward, y left, z up.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -32,7 +32,6 @@ SEGMENT_OF_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 RIGID_MM = 1.0  #: Largest spread of joint offsets of a rigid skeleton, mm
 _LENGTH_DIFFERENCE: Final = 5  #: Largest difference in length of files of one take, frames; the shorter one counts
 _SAME_MM = 5.0
-_SAME_BONES_MM = 1.0
 _QUARTER_TURNS_DEG = 10.0
 _GLITCHES = {
     ("S3", "freestyle1"): ((1936, 1961),),
@@ -53,43 +52,34 @@ class Truth:
     notes: tuple[str, ...]
 
 
-def read_truth(
-    take: tuple[str, str], find: Callable[[str], Path | None], others: Callable[[], Iterable[tuple[str, Array]]]
-) -> Truth | None:
-    """Read positions and orientations of a take; None without positions and a BVH file.
-
-    Args:
-        find: returns the take's file of a kind, or None.
-        others: yields name and joint offsets of the subject's other takes, for a take without orientations.
+def read_truth(take: tuple[str, str], find: Callable[[str], Path | None]) -> Truth | None:
+    """Read positions and orientations of a take, from its BVH file where one is missing; None without positions and a
+    BVH file. `find` returns the take's file of a kind, or None.
 
     Raises:
         FileFormatError: damaged or contradicting files, wrong joints, or quaternions not in order x y z w.
     """
-    skeleton = SkeletonModel.default()
-    notes: list[str] = []
-    p = R = bvh = None
-    positions, orientations = find("positions"), find("orientations")
+    skeleton, notes = SkeletonModel.default(), list[str]()
+    p = R = None
+    positions, about = find("positions"), find("orientations")
     if positions is not None:
         p = _INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
-    if orientations is not None:
-        R = _orientations(orientations, skeleton, notes)
-    if p is None or R is None:
-        bvh = find("bvh")
-    if bvh is not None:
+    if about is not None:
+        R = _orientations(about, skeleton, notes)
+    if (p is None or R is None) and (bvh := find("bvh")) is not None:
         p, R = _from_bvh(bvh, p, R, skeleton, notes)
+        about = bvh
     if p is None:
         return None
     if R is None:
-        offsets, spread = _offsets_by_length(p, skeleton, others, notes), np.nan
+        offsets, spread = _offsets_by_length(p, skeleton, notes), np.nan
         R = kinematics.rotations_from_positions(skeleton.parents, offsets, p)
-        observed = np.zeros(len(skeleton.names), dtype=bool)
     else:
-        about = (orientations if bvh is None else bvh) or Path()
-        p, R = _same_length(about, p, R, notes)
+        p, R = _same_length(about or Path(), p, R, notes)
         offsets, spread = _offsets(skeleton.parents, p, R)
         if spread > RIGID_MM:
-            raise FileFormatError(about, _why_not_rigid(p, R, skeleton, spread))
-        observed = np.ones(len(skeleton.names), dtype=bool)
+            raise FileFormatError(about or Path(), _why_not_rigid(spread))
+    observed = np.full(len(skeleton.names), np.isfinite(spread))
     poses = PoseSequence(
         np.arange(len(p)) / RATE_HZ, p, R, skeleton.names, valid=_valid(take, p, notes), orientation_observed=observed
     )
@@ -130,25 +120,34 @@ def _positions(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array:
 
 def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array | None:
     """Read R_world_bone (T, J, 3, 3), NaN where the file has zeros; None if it has only zeros."""
-    quat_xyzw = _ordered(path, 4, skeleton, notes)
-    norm = np.linalg.norm(quat_xyzw, axis=-1)
-    absent = norm < 1e-6
-    wrong = ~absent & (np.abs(norm - 1) > 0.01)
-    if wrong.any():
-        frame, joint = np.argwhere(wrong)[0]
-        raise FileFormatError(
-            path, f"the quaternion of {skeleton.names[joint]} has norm {norm[frame, joint]:.3g}, not 1", int(frame) + 2
-        )
+    quat_wxyz = np.roll(_ordered(path, 4, skeleton, notes), 1, axis=-1)
+    R_vicon_segment, absent = rotations_of(path, quat_wxyz, skeleton.names)
     if absent.all():
         notes.append(f"{path.name} holds no orientation at all")
         return None
     if absent.any():
         count = int(absent.any(axis=1).sum())
         notes.append(f"{count} frames have joints without an orientation in {path.name}: unknown")
-    quat_wxyz = np.where(absent[..., None], [1.0, 0, 0, 0], np.roll(quat_xyzw, 1, axis=-1))
-    R = _bone_rotations(so3.from_quat_wxyz(quat_wxyz))
+    return _bone_rotations(R_vicon_segment)
+
+
+def rotations_of(path: Path, quat_wxyz: Array, names: Sequence[str]) -> tuple[Array, Mask]:
+    """Return rotations (T, S, 3, 3) of quaternions (T, S, 4), NaN where a file has zeros, and where that is (T, S).
+
+    Raises:
+        FileFormatError: a quaternion is neither zero nor of norm 1.
+    """
+    norm = np.linalg.norm(quat_wxyz, axis=-1)
+    absent = norm < 1e-6
+    wrong = ~absent & (np.abs(norm - 1) > 0.01)
+    if wrong.any():
+        frame, one = np.argwhere(wrong)[0]
+        raise FileFormatError(
+            path, f"frame {frame + 1}: the quaternion of {names[one]} has norm {norm[frame, one]:.3g}, not 1"
+        )
+    R = so3.from_quat_wxyz(np.where(absent[..., None], [1.0, 0, 0, 0], quat_wxyz))
     R[absent] = np.nan
-    return R
+    return R, np.asarray(absent)
 
 
 def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float]:
@@ -165,19 +164,13 @@ def _offsets(parents: tuple[int, ...], p: Array, R: Array) -> tuple[Array, float
     return offsets, float(1000 * np.sqrt(variance.sum(axis=0) / count).max())
 
 
-def _why_not_rigid(p: Array, R: Array, skeleton: SkeletonModel, spread_mm: float) -> str:
-    """Return the likely reason why the skeleton is not rigid."""
+def _why_not_rigid(spread_mm: float) -> str:
     if np.isinf(spread_mm):
         return "there is no frame in which a joint's position and its parent's orientation are known"
-    text = f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. "
-    known: Mask = np.asarray(np.isfinite(R).all(axis=(2, 3)))
-    segment = WORLD_OF_VICON.T @ np.where(known[..., None, None], R, np.eye(3)) @ SEGMENT_OF_BONE
-    quat_read = so3.to_quat_wxyz(segment)  # what stands in the file was read as x y z w
-    as_wxyz = _bone_rotations(so3.from_quat_wxyz(np.roll(quat_read, -1, axis=-1)))
-    as_wxyz[~known] = np.nan
-    if _offsets(skeleton.parents, p, as_wxyz)[1] < RIGID_MM:
-        return text + ("This looks like quaternions w x y z, with which it is rigid; this file has x y z w")
-    return text + "Are positions and orientations of different takes?"
+    return (
+        f"the skeleton is not rigid: joints move by {spread_mm:.3g} mm in their parents' frames. Are positions and "
+        "orientations of different takes, or quaternions w x y z? This file has x y z w"
+    )
 
 
 def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Array, Array]:
@@ -227,20 +220,11 @@ def _from_bvh(
     return p, R
 
 
-def _offsets_by_length(
-    p: Array, skeleton: SkeletonModel, others: Callable[[], Iterable[tuple[str, Array]]], notes: list[str]
-) -> Array:
-    """Return offsets for positions only: those of another take with equal bones, or else scaled ones."""
+def _offsets_by_length(p: Array, skeleton: SkeletonModel, notes: list[str]) -> Array:
+    """Return offsets for positions only: the package's skeleton, scaled to these bones."""
+    notes.append("no orientations: derived from the positions, twist unknown, with the package's skeleton scaled")
     lengths = np.median(np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0)
-    text = "no orientations: derived from the positions, twist unknown, with "
-    for name, offsets in others():
-        apart_mm = 1000 * np.abs(np.linalg.norm(offsets[1:], axis=-1) - lengths)
-        if apart_mm.max() < _SAME_BONES_MM:
-            notes.append(f"{text}the joint offsets of {name}, whose bones are equally long")
-            return offsets
-    notes.append(f"{text}the package's skeleton scaled to these bones")
-    bones = dict(zip(skeleton.names[1:], map(float, lengths), strict=True))
-    return skeleton.with_bone_lengths(bones).joint_offsets
+    return skeleton.with_bone_lengths(dict(zip(skeleton.names[1:], map(float, lengths), strict=True))).joint_offsets
 
 
 def _valid(take: tuple[str, str], p: Array, notes: list[str]) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -105,11 +105,3 @@ class ArticulatedMotion:
         joints = list(self.end_parents)
         arms = np.einsum("teij,ej->tei", R_world_joint[:, joints], self.end_offsets)
         return np.asarray(p_world_joint[:, joints] + arms)
-
-
-@dataclass(frozen=True)
-class ArticulatedFrames:
-    """The frames of a file, of which motions are made as they are needed."""
-
-    length: int  #: Number of frames
-    motion: Callable[[slice], ArticulatedMotion]  #: Motion of some frames

@@ -21,7 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
-from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
+from rtof_kin.formats.articulated import ArticulatedMotion
 
 Lines = list[tuple[int, str]]  #: Numbered lines that are neither empty nor comments
 _INCH: Final = 0.0254
@@ -71,20 +71,11 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
     Raises:
         FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
     """
-    return read_amc_frames(path_asf, path_amc, rate_hz).motion(slice(None))
-
-
-def read_amc_frames(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 120.0) -> ArticulatedFrames:
-    """Read Acclaim files as `read_asf_amc` does; of long ones some frames at a time become a motion."""
     path_asf, path_amc = Path(path_asf), Path(path_amc)
     skeleton = _read_skeleton(path_asf)
     bones = [skeleton.root, *_depth_first(skeleton)]
     values, angle_unit = _read_frames(path_amc, bones, skeleton.angle_unit)
-
-    def motion(frames: slice) -> ArticulatedMotion:
-        return _assemble(skeleton, bones, [bone[frames] for bone in values], angle_unit, rate_hz)
-
-    return ArticulatedFrames(len(values[0]), motion)
+    return _assemble(skeleton, bones, values, angle_unit, rate_hz)
 
 
 # --- the lines of both files ----------------------------------------------------------------------

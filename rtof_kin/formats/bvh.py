@@ -19,7 +19,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
-from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
+from rtof_kin.formats.articulated import ArticulatedMotion
 
 Row = tuple[int, str]  #: Number of a line, from 1, and its text
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
@@ -40,26 +40,15 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
     it. `p_parent_joint` is set where joints other than the root move in their parent. `FileFormatError`, which names
     the line: no such file, incomplete, inconsistent or not finite.
     """
-    return read_bvh_frames(path, rate_hz).motion(slice(None))
-
-
-def read_bvh_frames(path: str | Path, rate_hz: float | None = None) -> ArticulatedFrames:
-    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion."""
     path = Path(path)
     lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
     tokens = _Tokens(path, lines)
     nodes = _read_hierarchy(tokens)
-    width = sum(len(n.channels) for n in nodes)
-    rate, values = _read_motion(path, lines, tokens.line, width, rate_hz)
-    moving = _moving(nodes, values)
-
-    def motion(frames: slice) -> ArticulatedMotion:
-        try:
-            return _assemble(nodes, values[frames], rate, moving)
-        except InvalidInputError as error:
-            raise FileFormatError(path, str(error)) from error
-
-    return ArticulatedFrames(len(values), motion)
+    rate, values = _read_motion(path, lines, tokens.line, sum(len(n.channels) for n in nodes), rate_hz)
+    try:
+        return _assemble(nodes, values, rate)
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error)) from error
 
 
 class _Tokens:
@@ -213,21 +202,8 @@ def _read_values(path: Path, rows: list[Row], width: int) -> Array:
     return table
 
 
-def _moving(nodes: list[_Joint], values: Array) -> list[bool]:
-    """Return which joints leave their offsets; those with zeros for positions do not, nor does the root."""
-    moving: list[bool] = []
-    column = 0
-    for node in (n for n in nodes if not n.is_end):
-        p = np.tile(np.array(node.offset), (len(values), 1))
-        for kind, axis in node.channels:
-            if kind == "position":
-                p[:, "xyz".index(axis)] = values[:, column]
-            column += 1
-        moving.append(bool(moving) and bool(p.any()) and not np.array_equal(p, np.tile(node.offset, (len(p), 1))))
-    return moving
-
-
-def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[bool]) -> ArticulatedMotion:
+def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> ArticulatedMotion:
+    """Joints whose position channels are all zero, or are their offset, stay at their offsets."""
     joints = [n for n in nodes if not n.is_end]
     ends = [n for n in nodes if n.is_end]
     number = {id(n): j for j, n in enumerate(joints)}
@@ -238,11 +214,14 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[b
     column = 0
     for j, node in enumerate(joints):
         for kind, axis in node.channels:
-            if kind == "position" and (j == 0 or moving[j]):
+            if kind == "position":
                 p[:, j, "xyz".index(axis)] = values[:, column]
-            elif kind == "rotation":
+            else:
                 R[:, j] = R[:, j] @ so3.about_axis(axis, np.deg2rad(values[:, column]))
             column += 1
+    still = np.asarray(~p.any(axis=(0, 2)))
+    still[0] = False  # the root stands where the file says
+    p[:, still] = offsets[still]
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
         parents=tuple(-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints),
@@ -250,7 +229,7 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[b
         R_parent_joint=R,
         p_root=p[:, 0],
         rate_hz=rate_hz,
-        p_parent_joint=p if any(moving) else None,
+        p_parent_joint=p if np.any(p[:, 1:] != offsets[1:]) else None,
         end_parents=tuple(number[id(nodes[n.parent])] for n in ends),
         end_offsets=np.array([n.offset for n in ends]).reshape(-1, 3),
     )

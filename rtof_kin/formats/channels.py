@@ -65,20 +65,9 @@ _UNIT_OF: Final = {
     "linear": "acceleration_unit",
     "gyroscope": "angular_unit",
 }
-_POINT_ENDINGS: Final = {
-    "_u_px": "x",
-    "_v_px": "y",
-    "_x": "x",
-    "_y": "y",
-    "_z": "",
-    "_presence": "",
-    "_confidence": "c",
-    "_visibility": "c",
-    "_score": "c",
-    "_likelihood": "c",
-    "_c": "c",
-    "_v": "c",
-}
+_POINT_ENDINGS: Final = {"_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": ""} | dict.fromkeys(
+    ("_confidence", "_visibility", "_score", "_likelihood", "_c", "_v"), "c"
+)
 POINT_ENDINGS: Final = tuple(_POINT_ENDINGS)  #: Endings of the names of a point's columns
 _NUMBERED_POINT: Final = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
 _PIXELS: Final = ("", "px", "pixel", "pixels")
@@ -292,6 +281,7 @@ class PointChannels:
             if part in "xy" and unit.lower() not in _PIXELS:
                 raise InvalidInputError(f"{where}: unit {unit!r}; send coordinates in px")
             found[point][part] = column
+        found = {point: parts for point, parts in found.items() if parts.keys() & {"x", "y"}}
         for point, parts in found.items():
             lacking = [part for part in "xy" if part not in parts]
             if lacking:

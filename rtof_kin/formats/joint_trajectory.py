@@ -1,4 +1,4 @@
-"""Joint trajectories of the URDF: CSV with a JSON sidecar of units, and ROS messages as JSON.
+"""Joint trajectories of the URDF as messages of ROS in JSON.
 
 ROS's JointTrajectory has joints of one degree of freedom only, so the free base is a message of its own, a
 ``trajectory_msgs/MultiDOFJointTrajectory``. JSON is YAML, which ROS's tools read.
@@ -6,7 +6,6 @@ ROS's JointTrajectory has joints of one degree of freedom only, so the free base
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -16,14 +15,11 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
+from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.urdf import pin
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import write_text
 from rtof_kin.core.signals import runs
 
 BASE_COLUMNS: Final = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
@@ -41,58 +37,6 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
     rates = np.array(steps) / np.diff(times)[:, None]
     padded = np.concatenate([rates[:1], rates, rates[-1:]])
     return np.asarray((padded[:-1] + padded[1:]) / 2)
-
-
-def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
-    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of
-    each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
-    """
-    path, source = Path(path), MotionSource.of(motion)
-    skeleton = source.skeleton
-    columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
-    sidecar = json.dumps(_sidecar(path, skeleton), indent=2) + "\n"
-    with new_file(path, overwrite=True) as file:
-        with file.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(columns)
-            for block, masks in source.observed_blocks():
-                numbers = np.column_stack([block.times, block.q]).tolist()
-                valid = np.column_stack([root_turn_observed(masks), observed_dofs(masks)]).astype(int)
-                writer.writerows([*map(repr, row), *flags] for row, flags in zip(numbers, valid.tolist(), strict=True))
-        write_text(path.with_suffix(".json"), sidecar, overwrite=True)
-
-
-def _valid_columns(skeleton: SkeletonModel) -> list[str]:
-    return [f"{name}_valid" for name in (BASE_TURN, *skeleton.dof_names)]
-
-
-def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
-    units = {"time": "s"} | dict.fromkeys(BASE_COLUMNS[:3], "m") | dict.fromkeys(BASE_COLUMNS[3:], "1")
-    units |= dict.fromkeys(skeleton.dof_names, "rad") | dict.fromkeys(_valid_columns(skeleton), "1")
-    dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
-    return {
-        "file": path.name,
-        "urdf": "skeleton.urdf",
-        "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
-        "units": units,
-        "valid": "NAME_valid: 1 where NAME was observed, 0 where it comes from a prior or the model",
-        "names": {
-            name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim} for name in skeleton.dof_names
-        },
-        "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
-        "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
-    }
-
-
-def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
-    """Read column names and numbers (T, columns) of a trajectory written here; `FileFormatError`: missing, or not a
-    table of numbers whose first column is `time`.
-    """
-    columns = read_csv(Path(path))
-    table = np.stack(list(columns.values()), axis=-1)
-    if next(iter(columns)) != "time" or len(table) == 0:
-        raise FileFormatError(path, "the first column is not 'time', or there are no rows")
-    return tuple(columns), table
 
 
 def write_ros_trajectory(folder: str | Path, motion: Motion | MotionSource) -> list[Path]:

@@ -58,10 +58,9 @@ class MarkerSequence:
     def __getitem__(self, frames: slice) -> Self:
         return replace(self, times=self.times[frames], p_world=self.p_world[frames])
 
-    @property
-    def rate_hz(self) -> float:
-        """Frames per second, by the mean step; 60 for a single frame."""
-        return (len(self) - 1) / float(self.times[-1] - self.times[0]) if len(self) > 1 else 60.0
+    def blocks(self) -> Iterator[Array]:
+        """Yield the markers in one block; see `MarkerBlocks`."""
+        yield self.p_world
 
 
 @dataclass(frozen=True)
@@ -73,32 +72,12 @@ class MarkerBlocks:
     blocks: Callable[[], Iterator[Array]]
     """Returns p_world (n, M, 3), m, of consecutive frames, T in all; NaN as a whole where missing."""
 
-    @classmethod
-    def of(cls, markers: MarkerSequence | Self) -> MarkerBlocks:
-        """Return markers in memory as one block; blocks are returned as they are."""
-        if isinstance(markers, MarkerBlocks):
-            return markers
-        return MarkerBlocks(markers.times, markers.names, lambda: iter([markers.p_world]))
 
-    def __len__(self) -> int:
-        return len(self.times)
-
-    @property
-    def rate_hz(self) -> float:
-        """Frames per second, by the mean step; 60 for a single frame."""
-        return (len(self) - 1) / float(self.times[-1] - self.times[0]) if len(self) > 1 else 60.0
+def rate_hz(times: Array) -> float:
+    """Return frames per second, by the mean step of times (T,), s; 60 for a single frame."""
+    return (len(times) - 1) / float(times[-1] - times[0]) if len(times) > 1 else 60.0
 
 
-_KEYS: Final = (
-    "DataRate",
-    "CameraRate",
-    "NumFrames",
-    "NumMarkers",
-    "Units",
-    "OrigDataRate",
-    "OrigDataStartFrame",
-    "OrigNumFrames",
-)
 _HEADER: Final = 5  #: Lines above the first frame
 
 
@@ -203,11 +182,10 @@ def write_trc(
     odd = [n for n in markers.names if not n.strip() or "\t" in n or len(n.splitlines()) > 1]
     if odd:
         raise InvalidInputError(f"marker name {odd[0]!r}: empty, or a tab or a line's end in it; rename it")
-    markers = MarkerBlocks.of(markers)
-    T, M, rate = len(markers), len(markers.names), f"{markers.rate_hz:.10g}"
+    T, M, rate = len(markers.times), len(markers.names), f"{rate_hz(markers.times):.10g}"
     head = [
         ["PathFileType", "4", "(X/Y/Z)", path.name],
-        list(_KEYS),
+        ["DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"],
         [rate, rate, str(T), str(M), unit, rate, "1", str(T)],
         ["Frame#", "Time", *(cell for name in markers.names for cell in (name, "", "")), ""],
         ["", "", *(f"{axis}{i + 1}" for i in range(M) for axis in "XYZ"), ""],
@@ -406,10 +384,9 @@ def write_c3d(
     """
     ezc3d = optional("ezc3d", "", "writing C3D", "pip install ezc3d, or conda install -c conda-forge ezc3d")
 
-    R_world_file, markers = world_of_file(up), MarkerBlocks.of(markers)
-    rate = markers.rate_hz
+    R_world_file, rate = world_of_file(up), rate_hz(markers.times)
     first = round(float(markers.times[0]) * rate)
-    if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers))).max() > 1e-3:
+    if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers.times))).max() > 1e-3:
         raise InvalidInputError(
             "marker times: C3D has a number for each frame and no times; resample to one rate, with "
             "times that are multiples of its step"

@@ -55,12 +55,13 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.hdf5 import read_arrays
+from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import write_bvh
-from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_joint_trajectory_csv, write_ros_trajectory
-from rtof_kin.formats.markers import write_c3d, write_trc
+from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
+from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
 from rtof_kin.formats.motion_views import (
     AnyMotion,
     dofs_from_prior,
@@ -120,13 +121,43 @@ def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwri
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``. Errors as
     `core.files.folder.new_file`.
     """
+    _write_table(path, motion, lambda c: f"{c.name} [{c.unit}]" if c.unit else c.name, overwrite)
+
+
+def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
+    """Write time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of each revolute,
+    0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
+    """
+    path, source = Path(path), MotionSource.of(motion)
+    skeleton = source.skeleton
+    valid = [f"{name}_valid" for name in (BASE_TURN, *skeleton.dof_names)]
+    columns = {c.name: c for c in motion_columns(next(source.blocks()).motion)}
+    wanted = ("time", *BASE_COLUMNS, *skeleton.dof_names, *valid)
+    sidecar = {
+        "file": path.name,
+        "urdf": URDF,
+        "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
+        "units": {name: columns[name].unit or "1" for name in wanted},
+        "valid": "NAME_valid: 1 where NAME was observed, 0 where it comes from a prior or the model",
+        "names": {name: columns[name].also for name in skeleton.dof_names},
+        "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
+        "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
+    }
+    _write_table(path, source, lambda c: c.name if c.name in wanted else "", overwrite=True)
+    write_text(path.with_suffix(".json"), json.dumps(sidecar, indent=2) + "\n", overwrite=True)
+
+
+def _write_table(
+    path: str | Path, motion: Motion | MotionSource, title: Callable[[Column], str], overwrite: bool
+) -> None:
+    """Write the columns that have a title."""
     with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         for number, (block, masks) in enumerate(MotionSource.of(motion).observed_blocks()):
-            columns = motion_columns(block, masks)
+            columns = [column for column in motion_columns(block, masks) if title(column)]
             if number == 0:
-                writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
-            writer.writerows(zip(*(_cells(c.values) for c in columns), strict=True))
+                writer.writerow(map(title, columns))
+            writer.writerows(zip(*(_cells(column.values) for column in columns), strict=True))
 
 
 def _cells(values: NDArray[Any]) -> list[str]:
@@ -303,11 +334,11 @@ def _osim(folder: Path, motion: MotionSource) -> Files:
 def _c3d(folder: Path, motion: MotionSource) -> Files:
     """Write times as frame numbers; `time_zero_s` is the remainder of the first one."""
     markers = landmark_markers(motion)
-    start, rate = float(markers.times[0]), markers.rate_hz
+    start, rate = float(markers.times[0]), rate_hz(markers.times)
     first = round(start * rate)
-    if not 0 <= first <= _MOST_FRAMES_C3D - len(markers):
+    if not 0 <= first <= _MOST_FRAMES_C3D - len(markers.times):
         first = 0
-    write_c3d(folder / "motion.c3d", replace(markers, times=(first + np.arange(len(markers))) / rate))
+    write_c3d(folder / "motion.c3d", replace(markers, times=(first + np.arange(len(markers.times))) / rate))
     return {"motion.c3d": {"frames": [0, len(motion)], "time_zero_s": start - first / rate}}
 
 

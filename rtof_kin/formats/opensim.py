@@ -283,17 +283,10 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
     return Coordinate(opensim or urdf, joint, unit, True, (low, high), urdf)
 
 
-def coordinate_values(motion: AnyMotion) -> tuple[tuple[Coordinate, ...], Array]:
-    """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time; `InvalidInputError`
-    where a configuration is unknown.
+def value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
+    """Yield the motion in blocks with a margin of one frame, and the values of `coordinates` of both (n, C), rad and m,
+    continuous over time; `InvalidInputError` where a configuration is unknown.
     """
-    source = MotionSource.of(motion)
-    values = [values[block.own] for block, values in _value_blocks(source)]
-    return coordinates(source.skeleton.table), np.concatenate(values)
-
-
-def _value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
-    """The motion in blocks with a margin of one frame, and the values of both (n, C)."""
     check_known(motion)
     skeleton, last = motion.skeleton, np.zeros((0, 3))
     signs = [c.sign for c in coordinates(skeleton.table)]
@@ -319,7 +312,7 @@ def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -
     unit = [180 / np.pi if c.is_rotation else 1.0 for c in every]
     kept = [i for i, c in enumerate(every) if c.urdf not in unseen]
     names = [every[i].name for i in kept]
-    values = ((values * unit)[block.own][:, kept] for block, values in _value_blocks(source))
+    values = ((values * unit)[block.own][:, kept] for block, values in value_blocks(source))
     _write_table(Path(path), source, names, values, True, overwrite)
 
 
@@ -336,7 +329,7 @@ def write_sto(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -
 def _states(motion: MotionSource) -> Iterator[Array]:
     """Values and speeds (n, 2 C) in blocks."""
     times = even_times(motion.times)
-    for block, values in _value_blocks(motion):
+    for block, values in value_blocks(motion):
         first = block.start - block.before
         speeds = np.zeros_like(values)
         if len(values) > 1:

@@ -53,18 +53,11 @@ def read_joints(path: str | Path, width: int) -> JointTable:
         raise FileFormatError(path, "does not begin with a line of different joint names", 1)
     if not lines:
         raise FileFormatError(path, f"holds names but no frame; {_AGAIN}", 1)
-    T, J = len(lines), len(names)
     rows = [line.split() for line in lines]
-    values = _numbers(rows, J * width)
-    if values is None:
-        at = next(i for i, row in enumerate(rows) if _numbers([row], J * width) is None)
-        found = f"found {len(rows[at])} cells{_odd(rows[at])}"
-        if at == T - 1:
-            found += f": the file is cut off here; {at} frames before it are whole. {_AGAIN}"
-        raise FileFormatError(path, f"expected {J} joints of {width} numbers, {found}", at + 2)
     if lines[0].endswith("\t") and not lines[-1].endswith("\t"):
-        problem = f"is cut off in the last number of this line; {T - 1} frames before it are whole"
-        raise FileFormatError(path, f"{problem}. {_AGAIN}", T + 1)
+        rows[-1].pop()  # cut off in its last number
+    T, J = len(rows), len(names)
+    values = _numbers(path, rows, range(2, T + 2), J * width, f"{J} joints of {width} numbers")
     return JointTable(names, values.reshape(T, J, width))
 
 
@@ -78,36 +71,21 @@ def read_sensors(path: str | Path) -> SensorTable:
     if len(counts) != 2 or not all(map(_is_count, counts)):
         raise FileFormatError(path, "does not begin with the numbers of sensors and frames", 1)
     S, T = map(int, counts)
-    if S == 0 or T == 0:
-        raise FileFormatError(path, f"announces {T} frames of {S} sensors", 1)
     rows = [line.split() for line in lines]
-    # Sensors, after checking that T whole frames of the same sensors follow each other.
-    announced = f"announces {T} frames of {S} sensors"
+    if not S * T or len(rows) != T * (S + 1) or len(rows[-1]) < len(rows[1]):
+        problem = f"announces {T} frames of {S} sensors and holds {len(rows) // (S + 1)} whole ones; {_AGAIN}"
+        raise FileFormatError(path, problem, len(rows) + 1)
     heads = [row[0] if row else "" for row in rows]
     names = tuple(heads[1 : S + 1])
-    if len(set(names)) < len(names):
+    if len(set(names)) < S:
         raise FileFormatError(path, "a sensor stands twice in a frame", 3)
-    frames = len(rows) // (S + 1) + 1
-    expected = [head for frame in range(1, frames + 1) for head in (str(frame), *names)]
-    end = min(T * (S + 1), len(rows))
-    at = next((i for i in range(end) if heads[i] != expected[i]), end)
-    cut_there = at == len(rows) - 1 < T * (S + 1) - 1
-    if at < end and not cut_there:
-        raise FileFormatError(path, f"{announced}, and where {expected[at]!r} should stand is {heads[at]!r}", at + 2)
-    whole = len(rows) // (S + 1)
-    if len(rows) % (S + 1) == 0 and rows and len(rows[-1]) < max(8, len(rows[1])):
-        whole -= 1
-    if whole < T:
-        problem = f"{announced} and is cut off here: it holds {whole} whole ones. {_AGAIN}"
-        raise FileFormatError(path, problem, len(rows) + 1)
-    if len(rows) > T * (S + 1):
-        raise FileFormatError(path, f"{announced} and holds {whole} whole ones", T * (S + 1) + 2)
-    readings = [(i, row[1:8]) for i, row in enumerate(rows) if i % (S + 1)]
-    values = _numbers([cells for _, cells in readings], 7)
-    if values is None:
-        i, cells = next((i, cells) for i, cells in readings if _numbers([cells], 7) is None)
-        raise FileFormatError(path, f"expected a sensor's name and at least 7 numbers{_odd(cells)}", i + 2)
-    values = values.reshape(T, S, 7)
+    expected = [head for frame in range(1, T + 1) for head in (str(frame), *names)]
+    for line, (head, found) in enumerate(zip(expected, heads, strict=True), 2):
+        if head != found:
+            raise FileFormatError(path, f"where {head!r} should stand is {found!r}", line)
+    cells = [row[1:8] for i, row in enumerate(rows) if i % (S + 1)]
+    places = [i + 2 for i in range(len(rows)) if i % (S + 1)]
+    values = _numbers(path, cells, places, 7, "a sensor's name and at least 7 numbers").reshape(T, S, 7)
     return SensorTable(names, values[..., :4], values[..., 4:])
 
 
@@ -142,10 +120,7 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
     for number, cells in enumerate(map(str.split, lines), start=2):
         if not cells:
             continue
-        values = _numbers([cells[1:]], 4)
-        if values is None:
-            problem = f"expected a sensor's name and four numbers{_odd(cells[1:])}"
-            raise FileFormatError(path, problem, number)
+        values = _numbers(path, [cells[1:]], [number], 4, "a sensor's name and four numbers")
         name, norm = cells[0], np.linalg.norm(values[0])
         if name in quaternions:
             raise FileFormatError(path, f"a second line for {name}; remove one", number)
@@ -165,9 +140,7 @@ def read_cameras(path: str | Path) -> dict[int, Camera]:
     """
     path = Path(path)
     cells = " ".join(_lines(path)).split()
-    numbers = _numbers([cells], len(cells))
-    if numbers is None:
-        raise FileFormatError(path, f"holds something else than numbers{_odd(cells)}")
+    numbers = _numbers(path, [cells], [1], len(cells), "numbers")
     if len(cells) < 2 or not all(map(_is_count, cells[:2])):
         problem = "does not begin with the numbers of cameras and distortion terms"
         raise FileFormatError(path, problem, 1)
@@ -209,14 +182,18 @@ def _lines(path: Path) -> list[str]:
     return lines
 
 
-def _numbers(rows: Sequence[Sequence[str]], columns: int) -> Array | None:
-    """Return numbers (len(rows), columns); None for a row of another length or a cell that is not finite."""
+def _numbers(path: Path, rows: Sequence[Sequence[str]], lines: Sequence[int], columns: int, what: str) -> Array:
+    """Return numbers (len(rows), columns); a row of another length, or a cell that is not finite, is an error."""
     try:
         values = np.array(rows, dtype=float)
     except ValueError:
-        return None
-    fits = values.shape == (len(rows), columns) and np.all(np.abs(values) <= LARGEST_NUMBER)
-    return values if fits else None
+        values = np.zeros(0)
+    if values.shape == (len(rows), columns) and np.all(np.abs(values) <= LARGEST_NUMBER):
+        return values
+    wrong = next(i for i, row in enumerate(rows) if len(row) != columns or not all(map(_is_number, row)))
+    odd = next((f", among them {cell[:40]!r}" for cell in rows[wrong] if not _is_number(cell)), "")
+    problem = f"expected {what}, found {len(rows[wrong])} cells{odd}; {_AGAIN}"
+    raise FileFormatError(path, problem, lines[wrong])
 
 
 def _is_count(text: str) -> bool:
@@ -224,10 +201,7 @@ def _is_count(text: str) -> bool:
 
 
 def _is_number(text: str) -> bool:
-    return _numbers([[text]], 1) is not None
-
-
-def _odd(cells: Sequence[str]) -> str:
-    """Return a phrase that quotes the first cell that is not a finite number."""
-    odd = next((cell for cell in cells if not _is_number(cell)), None)
-    return "" if odd is None else f", among them {odd[:40]!r}"
+    try:
+        return abs(float(text)) <= LARGEST_NUMBER
+    except ValueError:
+        return False

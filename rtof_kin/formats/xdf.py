@@ -5,9 +5,8 @@ Inertial sensors are the streams whose channels are labelled as in `channels`; d
 the recorder's clock by the offsets in the file. They are not made equally spaced: where packets are lost that
 would shift the others by some of them. A declared rate does it, for senders whose stamps jitter.
 
-A file is ``XDF:`` and chunks of a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications). Every
-length is checked against the others before anything is decoded, so that a damaged file is an error and neither fills
-the memory nor gives wrong numbers. Recorders that crash leave the last chunk incomplete; what precedes it is intact.
+The library pyxdf reads them. Recorders that crash leave the last chunk incomplete, of which it would make a sample of
+what is there, and it goes on after damage with a remark: chunks are counted before, and a remark of damage is an error.
 """
 
 from __future__ import annotations
@@ -17,11 +16,10 @@ import logging
 import struct
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar
+from typing import Any, Final, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -36,189 +34,101 @@ from rtof_kin.formats.channels import PointChannels, StreamChannels
 from rtof_kin.formats.sensors.readings import lost
 
 MAGIC: Final = b"XDF:"
-_FILE_HEADER, _STREAM_HEADER, _SAMPLES, _CLOCK_OFFSET, _BOUNDARY, _STREAM_FOOTER = range(1, 7)
-_OF_STREAM: Final = (_STREAM_HEADER, _SAMPLES, _CLOCK_OFFSET, _STREAM_FOOTER)
+_STREAM_HEADER, _SAMPLES, _CLOCK_OFFSET = 2, 3, 4
 _LENGTHS: Final = {1: "<B", 4: "<I", 8: "<Q"}
-_ITEM_BYTES: Final = {"double64": 8, "float32": 4, "int64": 8, "int32": 4, "int16": 2, "int8": 1}
-_LARGEST_XML: Final = 2**24
 _MOST_CHANNELS: Final = 2**14
-_STAMP_BYTES: Final = 8
-_OFFSET_BYTES: Final = 16
 
 
 @dataclass(frozen=True)
-class XdfHeader:
+class _Header:
     """What one stream declares."""
 
-    number: int  #: Of the stream, in the file
+    number: int  # of the stream, in the file
     name: str
-    type: str
     source_id: str
-    count: int  #: Number of channels
-    item_bytes: int  #: Of one number; 0 for text
-    rate_hz: float  #: Nominal sampling rate, Hz; 0 where irregular
-    labels: tuple[str, ...]  #: Of the channels; fewer where the metadata lacks them
+    count: int  # of channels
+    row_bytes: int  # of the numbers of one sample
+    labels: tuple[str, ...]  # of the channels; fewer where the metadata lacks them
     units: tuple[str, ...]
     types: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class XdfStructure:
-    """Streams of a file and its intact part."""
+class _Structure:
+    """Streams of numbers in a file and its intact part."""
 
-    headers: tuple[XdfHeader, ...]
-    samples: Mapping[int, int]  #: Number of samples of each stream
-    synchronised: frozenset[int]  #: Streams with measured offsets of their clock
-    end: int  #: Byte where the intact chunks end
-    cut: bool  #: Whether bytes follow there, of a chunk that is incomplete
-
-
-class _CutError(Exception):
-    """The file ends within a chunk."""
+    headers: tuple[_Header, ...]
+    filled: frozenset[int]  # streams with samples
+    synchronised: frozenset[int]  # streams with measured offsets of their clock
+    end: int  # byte where the intact chunks end
+    cut: bool  # whether bytes follow there, of a chunk that is incomplete
 
 
-def read_structure(path: Path) -> XdfStructure:
-    """Return the streams of a file, all of whose intact chunks fit together; else `FileFormatError`, which names the
-    byte.
-    """
+def _read_structure(path: Path) -> _Structure:
+    """Walk through a file's chunks: a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications)."""
+    headers, filled, synchronised, end = dict[int, _Header](), set[int](), set[int](), len(MAGIC)
     try:
+        size = path.stat().st_size
         with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
+            if stream.read(end) != MAGIC:
                 raise FileFormatError(path, "does not begin with 'XDF:'")
-            return _Chunks(path, stream).structure()
+            while head := stream.read(1):
+                of_length = _LENGTHS[head[0]]
+                length = stream.read(head[0])
+                if len(length) < head[0]:
+                    break
+                after = stream.tell() + struct.unpack(of_length, length)[0]
+                if after > size:
+                    break
+                tag, number = struct.unpack("<HI", stream.read(6).ljust(6, b"\0"))
+                if tag == _STREAM_HEADER and (header := _header(number, stream.read(after - stream.tell()))):
+                    headers[number] = header
+                elif tag == _SAMPLES and number in headers:
+                    filled.add(number)
+                    if not _fits(stream.read(after - stream.tell()), headers[number].row_bytes):
+                        raise ValueError(f"samples of stream {number} that do not fill their chunk")
+                elif tag == _CLOCK_OFFSET:
+                    synchronised.add(number)
+                end = stream.seek(after)
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
+    except (LookupError, ValueError, ElementTree.ParseError) as error:
+        raise FileFormatError(path, f"damaged at byte {end} ({error}); record or copy it again") from error
+    return _Structure(tuple(headers.values()), frozenset(filled), frozenset(synchronised), end, end < size)
 
 
-class _Chunks:
-    """Reads one file from its first chunk on."""
+def _header(number: int, content: bytes) -> _Header | None:
+    """Return what a stream of numbers declares; None of one of texts."""
+    text = content.decode("utf-8", errors="replace")
+    if "<!" in text.replace("<![CDATA[", "").replace("<!--", ""):
+        raise ValueError("metadata with declarations, which XDF files do not have")
+    xml = ElementTree.fromstring(text)
+    name, source_id, kind, count = (
+        (xml.findtext(key) or "").strip() for key in ("name", "source_id", "channel_format", "channel_count")
+    )
+    if kind == "string":
+        return None
+    if not 0 < int(count) <= _MOST_CHANNELS:
+        raise ValueError(f"stream {number}: {count} channels")
+    channels = xml.findall("desc/channels/channel")
+    fields = [tuple((one.findtext(field) or "").strip() for one in channels) for field in ("label", "unit", "type")]
+    item_bytes = int(kind.lstrip("abcdefghijklmnopqrstuvwxyz")) // 8  # of double64, int16, ...
+    return _Header(number, name, source_id, int(count), int(count) * item_bytes, *fields)
 
-    def __init__(self, path: Path, stream: BinaryIO):
-        self._path, self._stream = path, stream
-        self._size = path.stat().st_size
-        self._headers: dict[int, XdfHeader] = {}
-        self._samples: dict[int, int] = {}
-        self._synchronised: set[int] = set()
 
-    def structure(self) -> XdfStructure:
-        end = self._stream.tell()
-        try:
-            while end < self._size:
-                self._chunk(end)
-                end = self._stream.tell()
-        except _CutError:
-            pass
-        return XdfStructure(
-            tuple(self._headers.values()), self._samples, frozenset(self._synchronised), end, end < self._size
-        )
-
-    def _chunk(self, start: int) -> None:
-        length = self._length(start)
-        content = self._stream.tell()
-        (tag,) = struct.unpack("<H", self._bytes(2))
-        if not _FILE_HEADER <= tag <= _STREAM_FOOTER or length < 2:
-            raise self._damaged(start, f"a chunk of the unknown kind {tag}")
-        if content + length > self._size:
-            raise _CutError
-        if tag in _OF_STREAM:
-            if length < 6:
-                raise self._damaged(start, "a chunk without a stream")
-            (number,) = struct.unpack("<I", self._bytes(4))
-            self._of_stream(start, tag, number, length - 6)
-        elif tag == _FILE_HEADER:
-            self._xml(start, length - 2)
-        self._stream.seek(content + length)
-
-    def _of_stream(self, start: int, tag: int, number: int, length: int) -> None:
-        if (tag == _STREAM_HEADER) == (number in self._headers):
-            raise self._damaged(start, f"stream {number} has {'two headers' if number in self._headers else 'none'}")
-        if tag == _STREAM_HEADER:
-            self._headers[number] = self._header(start, number, self._xml(start, length))
-            self._samples[number] = 0
-        elif tag == _STREAM_FOOTER:
-            self._xml(start, length)
-        elif tag == _SAMPLES:
-            if self._headers[number].item_bytes:
-                self._samples[number] += self._count(start, self._headers[number], length)
-        elif length == _OFFSET_BYTES:
-            self._synchronised.add(number)
-        else:
-            raise self._damaged(start, f"an offset of the clock of {length} bytes")
-
-    def _count(self, start: int, header: XdfHeader, length: int) -> int:
-        """Return the number of samples of a chunk, whose lengths must add up to its own."""
-        begin = self._stream.tell()
-        count = self._length(start)
-        length -= self._stream.tell() - begin
-        row = header.count * header.item_bytes
-        if 0 <= length == count * (1 + _STAMP_BYTES + row):
-            return count
-        data = self._bytes(max(length, 0))
-        at = 0
-        for _ in range(count if count <= length else 0):
-            at += 1 + row + (_STAMP_BYTES if at < length and data[at] else 0)
-        if at != length or count > length:
-            raise self._damaged(start, f"samples of stream {header.number} that do not fill their chunk")
-        return count
-
-    def _header(self, start: int, number: int, xml: ElementTree.Element) -> XdfHeader:
-        text = {
-            key: (xml.findtext(key) or "").strip()
-            for key in ("name", "type", "source_id", "channel_count", "channel_format", "nominal_srate")
-        }
-        kind = text["channel_format"]
-        try:
-            count, rate = int(text["channel_count"]), float(text["nominal_srate"])
-        except ValueError as error:
-            raise self._damaged(start, f"stream {number}: {error}") from error
-        if not 0 < count <= _MOST_CHANNELS or not 0 <= rate < 1e6 or kind not in (*_ITEM_BYTES, "string"):
-            raise self._damaged(start, f"stream {number}: {count} channels of {kind or 'no type'} at {rate:g} Hz")
-        channels = xml.findall("desc/channels/channel")
-        labels, units, types = (
-            tuple((channel.findtext(field) or "").strip() for channel in channels)
-            for field in ("label", "unit", "type")
-        )
-        return XdfHeader(
-            number,
-            text["name"],
-            text["type"],
-            text["source_id"],
-            count,
-            _ITEM_BYTES.get(kind, 0),
-            rate,
-            labels,
-            units,
-            types,
-        )
-
-    def _xml(self, start: int, length: int) -> ElementTree.Element:
-        if length > _LARGEST_XML:
-            raise self._damaged(start, f"metadata of {length} bytes")
-        text = self._bytes(length).decode("utf-8", errors="replace")
-        if "<!" in text.replace("<![CDATA[", "").replace("<!--", ""):
-            raise self._damaged(start, "metadata with declarations, which XDF files do not have")
-        try:
-            return ElementTree.fromstring(text)
-        except (ElementTree.ParseError, ValueError) as error:
-            raise self._damaged(start, f"metadata that are no XML ({error})") from error
-
-    def _length(self, start: int) -> int:
-        size = self._bytes(1)[0]
-        if size not in _LENGTHS:
-            raise self._damaged(start, f"a length of {size} bytes")
-        (length,) = struct.unpack(_LENGTHS[size], self._bytes(size))
-        return int(length)
-
-    def _bytes(self, count: int) -> bytes:
-        found = self._stream.read(count)
-        if len(found) < count:
-            raise _CutError
-        return found
-
-    def _damaged(self, start: int, what: str) -> FileFormatError:
-        return FileFormatError(self._path, f"damaged at byte {start}: {what}; record or copy it again")
+def _fits(content: bytes, row_bytes: int) -> bool:
+    """Return whether the samples of a chunk, each with a stamp of 8 bytes or with none, fill it: else pyxdf would go on
+    in another place.
+    """
+    at = 1 + content[0]
+    count = int.from_bytes(content[1:at], "little")
+    if len(content) == at + count * (9 + row_bytes):
+        return True
+    for _ in range(min(count, len(content))):
+        at += 1 + row_bytes + (8 if at < len(content) and content[at] else 0)
+    return at == len(content)
 
 
 C = TypeVar("C")
@@ -236,9 +146,9 @@ def is_xdf(head: str) -> bool:
 def read_xdf(path: Path, **declared: Any) -> SensorLog:
     """Implement `sensors.files.Format.read`; a declared `rate_hz` replaces the stamps after the first."""
     Declaration().changed(**declared)
-    structure = read_structure(path)
+    structure = _read_structure(path)
 
-    def understood(header: XdfHeader) -> StreamChannels:
+    def understood(header: _Header) -> StreamChannels:
         channels = StreamChannels.of(header.name, _labels(header), header.units, header.types, declared=declared)
         if all(one.quaternions is None and one.gyroscope is None for one in channels.sensors):
             raise InvalidInputError(f"stream {header.name}: no orientation, and no gyroscope to find it by")
@@ -268,7 +178,7 @@ def read_xdf(path: Path, **declared: Any) -> SensorLog:
     return SensorLog(path, TITLE, named, found[0][1].declaration, (*notes, *remarks))
 
 
-def _named(streams: Sequence[SensorStream], headers: Sequence[XdfHeader], notes: list[str]) -> tuple[SensorStream, ...]:
+def _named(streams: Sequence[SensorStream], headers: Sequence[_Header], notes: list[str]) -> tuple[SensorStream, ...]:
     """Return the sensors with what tells streams of one name apart in their names."""
     twice = {name for name, number in Counter(one.name for one in streams).items() if number > 1}
     named = []
@@ -303,9 +213,9 @@ def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
     unreadable, damaged, or no stream of points or several.
     """
     path = Path(path)
-    structure = read_structure(path)
+    structure = _read_structure(path)
 
-    def understood(header: XdfHeader) -> PointChannels:
+    def understood(header: _Header) -> PointChannels:
         if stream not in (None, header.name):
             raise InvalidInputError(f"stream {header.name}: not asked for")
         try:
@@ -324,7 +234,7 @@ def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
     return XdfPoints(header.name, times, uv, confidence, channels.names, (*own, *notes, *remarks))
 
 
-def _labels(header: XdfHeader) -> tuple[str, ...]:
+def _labels(header: _Header) -> tuple[str, ...]:
     if len(header.labels) != header.count or not all(header.labels):
         named = sum(map(bool, header.labels))
         raise InvalidInputError(f"stream {header.name}: {header.count} channels, and labels of {named}")
@@ -332,13 +242,11 @@ def _labels(header: XdfHeader) -> tuple[str, ...]:
 
 
 def _understood(
-    path: Path, structure: XdfStructure, understood: Callable[[XdfHeader], C], what: str
-) -> tuple[list[tuple[XdfHeader, C]], list[str]]:
+    path: Path, structure: _Structure, understood: Callable[[_Header], C], what: str
+) -> tuple[list[tuple[_Header, C]], list[str]]:
     """Return the streams of a kind that have samples, and sentences about the others."""
     found, notes, aside = [], [], []
     for header in structure.headers:
-        if not header.item_bytes:
-            continue
         try:
             channels = understood(header)
         except UnknownNameError:
@@ -346,7 +254,7 @@ def _understood(
         except InvalidInputError as error:
             aside.append(str(error))
             continue
-        if structure.samples[header.number]:
+        if header.number in structure.filled:
             found.append((header, channels))
         else:
             aside.append(f"stream {header.name}: has no samples")
@@ -359,17 +267,22 @@ def _understood(
 
 
 def _load(
-    path: Path, structure: XdfStructure, headers: Sequence[XdfHeader]
+    path: Path, structure: _Structure, headers: Sequence[_Header]
 ) -> tuple[list[tuple[Array, Array, list[str]]], tuple[str, ...]]:
     """Return times (T,), values (T, C) and remarks of each stream, and remarks of pyxdf."""
     pyxdf = optional("pyxdf", "live", f"{path}: an XDF file")
-    numbers = [header.number for header in headers]
+    numbers, log, collector = [header.number for header in headers], logging.getLogger("pyxdf"), _Collector()
+    propagate, log.propagate = log.propagate, False
+    log.addHandler(collector)
     try:
-        with path.open("rb") as stream, _remarks() as remarks, np.errstate(all="ignore"):
+        with path.open("rb") as stream, warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
             intact = io.BytesIO(stream.read(structure.end)) if structure.cut else stream
             found, _ = pyxdf.load_xdf(intact, numbers, dejitter_timestamps=False)
     except Exception as error:  # pyxdf raises errors of many types
         raise FileFormatError(path, f"damaged ({error}); record or copy it again") from error
+    finally:
+        log.removeHandler(collector)
+        log.propagate = propagate
     by_number = {one["info"]["stream_id"]: one for one in found}
     loaded = []
     for header in headers:
@@ -382,31 +295,23 @@ def _load(
         if header.number not in structure.synchronised:
             own.append("the file has no offsets of its clock; its stamps are taken as they are")
         loaded.append((times, values, own))
-    return loaded, tuple(f"pyxdf: {remark}" for remark in remarks if _DIFFER not in remark)
+    return loaded, tuple(f"pyxdf: {remark}" for remark in collector.remarks if _DIFFER not in remark)
 
 
-@contextmanager
-def _remarks() -> Iterator[list[str]]:
-    """Collect what pyxdf logs or warns of, in place of showing it."""
-    remarks: list[str] = []
+class _Collector(logging.Handler):
+    """Collects what pyxdf remarks in place of showing it; a remark of damage is an error."""
 
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            remarks.append(record.getMessage())
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.remarks: list[str] = []
 
-    log, handler = logging.getLogger("pyxdf"), Collector(logging.WARNING)
-    propagate, log.propagate = log.propagate, False
-    log.addHandler(handler)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield remarks
-    finally:
-        log.removeHandler(handler)
-        log.propagate = propagate
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno >= logging.ERROR:
+            raise ValueError(record.getMessage())
+        self.remarks.append(record.getMessage())
 
 
-def _ordered(path: Path, header: XdfHeader, times: Array, values: Array) -> tuple[Array, Array, list[str]]:
+def _ordered(path: Path, header: _Header, times: Array, values: Array) -> tuple[Array, Array, list[str]]:
     """Return samples in the order of time, each time once, and sentences about what was changed."""
     if not np.isfinite(times).all():
         i = int(np.flatnonzero(~np.isfinite(times))[0])

@@ -149,7 +149,6 @@ def calibrate_by_pose(
     world_facing: float | None = None,
     still: tuple[float, float] | None = None,
     headings: Literal["shared", "own"] = "shared",
-    levers: Mapping[str, ArrayLike] | None = None,
 ) -> PoseCalibration:
     """Calibrate sensors by a pose.
 
@@ -163,7 +162,6 @@ def calibrate_by_pose(
             with own headings or a measured pose it is the pose's (named ones face x).
         still: (start, stop) s of the pose; the first second without rotation if None.
         headings: 'shared': one reference for all sensors. 'own': one each, estimated from the movement.
-        levers: sensor -> position (3,) in the segment's frame, m; by default the usual one.
 
     Raises:
         UnknownNameError: unknown sensor, segment, pose or axis.
@@ -174,7 +172,7 @@ def calibrate_by_pose(
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
     if headings == "own" and facing is not None:
         raise CalibrationError("facing needs headings='shared'; give world_facing for headings='own'")
-    samples = _hold(imus, joints, skeleton, still, levers)
+    samples = _hold(imus, joints, skeleton, still)
     R_all, named = pose_rotations(pose, skeleton), isinstance(pose, str)
     faces = facing_of(R_all) if world_facing is None else world_facing
     R_pose = turned_to(R_all, faces)[skeleton.index(*samples.joints)]
@@ -287,11 +285,7 @@ class _PoseSamples:
 
 
 def _hold(
-    imus: ImuSequence | SensorLog,
-    joints: Mapping[str, str],
-    skeleton: SkeletonModel,
-    still: tuple[float, float] | None,
-    levers: Mapping[str, ArrayLike] | None,
+    imus: ImuSequence | SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel, still: tuple[float, float] | None
 ) -> _PoseSamples:
     if not joints:
         raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")
@@ -300,15 +294,11 @@ def _hold(
     double = sorted({joint for joint in segments if segments.count(joint) > 1})
     if double:
         raise CalibrationError(f"several sensors are mapped to {', '.join(double)}; a segment takes one")
-    streams, given = _selected(imus, list(joints)), levers or {}
-    indices_of("sensor", list(given), list(joints))
+    streams = _selected(imus, list(joints))
     still = _find_still(streams) if still is None else still
     R, spreads = zip(*(_mean_orientation(stream, still) for stream in streams), strict=True)
-    places = [
-        readonly(f"lever arm of {s}", given[s], (3,)) if s in given else usual_lever(joint, skeleton)
-        for s, joint in joints.items()
-    ]
-    return _PoseSamples(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
+    levers = np.stack([usual_lever(joint, skeleton) for joint in segments])
+    return _PoseSamples(streams, segments, still, np.array(R), np.array(spreads), levers)
 
 
 def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:

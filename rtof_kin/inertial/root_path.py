@@ -20,30 +20,33 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
-from rtof_kin.core.checks import checked_names, readonly
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
 FEET = ("LeftFoot", "RightFoot")
 
 
-@dataclass(frozen=True)
-class ContactSettings:
-    """Thresholds of a standing foot."""
-
-    acceleration: float = 5.0  # [m/s^2] RMS of the ankle over `window`
-    window: float = 0.12  # [s]
-    foot_rate: float = 2.0  # [rad/s] of a foot with a sensor
-    shank_rate: float = 3.0  # [rad/s] of the shank, where the foot has no sensor
-    height: float = 0.1  # [m] over the lower ankle
-    shortest: float = 0.1  # [s] duration of a contact
-    speed: float = 0.8  # [m/s] of an ankle without sensors, by the poses
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 < value < np.inf:
-                raise InvalidInputError(f"{name} must be positive and finite")
+# Of a standing foot:
+_QUIET = 5.0  # [m/s^2] RMS acceleration of the ankle over `_WINDOW`
+_WINDOW = 0.12  # [s]
+_FOOT_RATE, _SHANK_RATE = 2.0, 3.0  # [rad/s] of a foot with a sensor; of the shank, where the foot has none
+_HEIGHT = 0.1  # [m] over the lower ankle
+_SHORTEST = 0.1  # [s] duration of a contact
+_SPEED = 0.8  # [m/s] of an ankle without sensors, by the poses
+# Standard deviations of the observations and of the drift:
+_SLIP = 0.1  # [m/s] velocity of a standing ankle
+_FLOOR = 0.02  # [m] height of a standing ankle
+_ACCELERATION = 1.0  # [m/s^2] of a sensor on the root
+_SHARE_OF_MOTION = 0.2  # [-] error of a sensor's acceleration relative to the root
+_LOWER, _LOWER_HEIGHT = 0.5, 0.5  # [m/s], [m] velocity and height of the lower ankle, standing or not
+_DRIFT_PER_METRE = 0.05  # [-] of the distance walked; measured, see benchmarks/README.md
+_FLIGHT = 0.5  # [m/s^2] error of the acceleration while no foot stands
+_ALOFT = 0.3  # [m/s] largest error of the velocity from that
+_SEEN = 0.3  # [m] of the root in a frame with keypoints; errors are correlated
+_EDGE = 0.05  # [m] of the mean root where a gap begins or ends
+_ORIGIN = 1e-3  # [m] of the first frame's horizontal position about the origin
+_ROUNDS = 5  # of reweighting the lower foot
+_DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))  # of order 0 to 2, forward
 
 
 @dataclass(frozen=True)
@@ -53,11 +56,6 @@ class Contacts:
     joints: tuple[str, ...]  # C names of the ankles
     standing: Mask  # (T, C)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", checked_names("contact joints", self.joints))
-        standing = readonly("contacts standing", self.standing, ("T", len(self.joints)), np.bool_)
-        object.__setattr__(self, "standing", standing)
-
 
 @dataclass(frozen=True)
 class ContactPoints:
@@ -66,24 +64,12 @@ class ContactPoints:
     joints: tuple[str, ...]  # C names
     p_world: Array  # (T, C, 3) m; NaN as a whole where a joint does not stand
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", checked_names("contact point joints", self.joints))
-        p = readonly("contact points p_world", self.p_world, ("T", len(self.joints), 3))
-        missing = np.isnan(p)
-        if np.isinf(p).any() or (missing.any(axis=2) & ~missing.all(axis=2)).any():
-            raise InvalidInputError("contact points p_world: a position is finite, or NaN as a whole")
-        object.__setattr__(self, "p_world", p)
-
     def __len__(self) -> int:
         return len(self.p_world)
 
 
 def detect_contacts(
-    poses: PoseSequence,
-    bone_imus: BoneImuSequence | None,
-    skeleton: SkeletonModel,
-    settings: ContactSettings | None = None,
-    from_poses: bool = False,
+    poses: PoseSequence, bone_imus: BoneImuSequence | None, skeleton: SkeletonModel, from_poses: bool = False
 ) -> Contacts:
     """Detect standing feet.
 
@@ -98,22 +84,21 @@ def detect_contacts(
     Returns:
         Contacts of both feet, or of those with sensors; a foot does not stand where its sensor has gaps.
     """
-    settings = settings or ContactSettings()
     sources = {foot: _source(foot, bone_imus, skeleton) for foot in FEET if foot in skeleton.names}
     feet = tuple(foot for foot, source in sources.items() if from_poses or source is not None)
     if not feet or len(poses) < 3:
         return Contacts(feet, np.zeros((len(poses), len(feet)), dtype=bool))
     p = poses.p_world_joint[:, skeleton.index(*feet)]
-    standing = p[..., 2] - p[..., 2].min(axis=1, keepdims=True) < settings.height
+    standing = p[..., 2] - p[..., 2].min(axis=1, keepdims=True) < _HEIGHT
     for i, foot in enumerate(feet):
         source = sources[foot]
         if bone_imus is None or source is None:
             speed = np.linalg.norm(np.gradient(p[:, i], axis=0), axis=-1) * poses.rate_hz
-            standing[:, i] &= speed < settings.speed
+            standing[:, i] &= speed < _SPEED
         else:
-            standing[:, i] &= _still(poses, bone_imus, skeleton, foot, source, settings)
+            standing[:, i] &= _still(poses, bone_imus, skeleton, foot, source)
         for start, stop in signals.runs(standing[:, i]):
-            if stop - start < settings.shortest * poses.rate_hz:
+            if stop - start < _SHORTEST * poses.rate_hz:
                 standing[start:stop, i] = False
     return Contacts(feet, standing)
 
@@ -137,14 +122,7 @@ def _source(foot: str, bone_imus: BoneImuSequence | None, skeleton: SkeletonMode
     return next((name for name in near if name in joints), None)
 
 
-def _still(
-    poses: PoseSequence,
-    bone_imus: BoneImuSequence,
-    skeleton: SkeletonModel,
-    foot: str,
-    source: str,
-    settings: ContactSettings,
-) -> Mask:
+def _still(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, foot: str, source: str) -> Mask:
     """Return (T,) frames in which the ankle hardly accelerates and the segment hardly rotates."""
     rate, (j,) = poses.rate_hz, skeleton.index(source)
     s = bone_imus.joints.index(source)
@@ -153,38 +131,11 @@ def _still(
     from_ankle = R @ (bone_imus.p_bone_sensor[s] - ankle)
     a = bone_imus.a_world[1:-1, s] - signals.derivative(from_ankle, rate, 2)
     square = np.sum(a**2, axis=-1)
-    width = max(round(settings.window * rate), 1)
-    quiet = uniform_filter1d(np.where(np.isfinite(square), square, 1e6), width) < settings.acceleration**2
+    width = max(round(_WINDOW * rate), 1)
+    quiet = uniform_filter1d(np.where(np.isfinite(square), square, 1e6), width) < _QUIET**2
     turning = so3.log(np.swapaxes(R[:-2], -1, -2) @ R[2:]) * rate / 2
-    fastest = settings.foot_rate if source == foot else settings.shank_rate
+    fastest = _FOOT_RATE if source == foot else _SHANK_RATE
     return np.pad(quiet & (np.linalg.norm(turning, axis=-1) < fastest), 1, mode="edge")
-
-
-_ROUNDS = 5  # of reweighting the lower foot
-_ORIGIN = 1e-3  # [m] of the first frame's horizontal position about the origin
-_DIFFERENCES = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))  # of order 0 to 2, forward
-
-
-@dataclass(frozen=True)
-class RootPathSettings:
-    """Standard deviations of the observations and of the drift."""
-
-    sigma_slip: float = 0.1  # [m/s] velocity of a standing ankle
-    sigma_floor: float = 0.02  # [m] height of a standing ankle
-    sigma_acceleration: float = 1.0  # [m/s^2] of a sensor on the root
-    share_of_motion: float = 0.2  # [-] error of a sensor's acceleration relative to the root
-    sigma_lower: float = 0.5  # [m/s] velocity of the lower ankle, standing or not
-    sigma_lower_height: float = 0.5  # [m] height of the lower ankle, standing or not
-    drift_per_metre: float = 0.05  # [-] of the distance walked; measured, see benchmarks/README.md
-    sigma_flight: float = 0.5  # [m/s^2] error of the acceleration while no foot stands
-    sigma_aloft: float = 0.3  # [m/s] largest error of the velocity from that
-    sigma_seen: float = 0.3  # [m] of the root in a frame with keypoints; errors are correlated
-    sigma_edge: float = 0.05  # [m] of the mean root where a gap begins or ends
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 < value < np.inf:
-                raise InvalidInputError(f"{name} must be positive and finite")
 
 
 @dataclass(frozen=True)
@@ -194,19 +145,9 @@ class RootPath:
     p_world: Array  # (T, 3) m
     sigma: Array  # (T,) m, of each horizontal coordinate since the first frame; NaN without foot sensors
 
-    def __post_init__(self) -> None:
-        p = readonly("root path p_world", self.p_world, ("T", 3))
-        object.__setattr__(self, "p_world", p)
-        object.__setattr__(self, "sigma", readonly("root path sigma", self.sigma, (len(p),)))
-
 
 def root_path(
-    poses: PoseSequence,
-    bone_imus: BoneImuSequence,
-    contacts: Contacts,
-    skeleton: SkeletonModel,
-    ankle_height: float,
-    settings: RootPathSettings | None = None,
+    poses: PoseSequence, bone_imus: BoneImuSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float
 ) -> RootPath:
     """Estimate the root's path from contacts and accelerations.
 
@@ -218,44 +159,39 @@ def root_path(
         A path that begins over the origin. Without foot sensors it stays there, with the lowest joint of
         the first frame at that height.
     """
-    settings, T = settings or RootPathSettings(), len(poses)
+    T = len(poses)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
     if T < 4 or not contacts.joints:
         begin = np.array([0.0, 0.0, ankle_height - relative[0, :, 2].min()])
         return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
     system = _System(T, poses.rate_hz)
     system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
-    p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height, settings)
-    return RootPath(p, _drift(p, np.asarray(~contacts.standing.any(axis=1)), poses.rate_hz, settings))
+    p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height)
+    return RootPath(p, _drift(p, np.asarray(~contacts.standing.any(axis=1)), poses.rate_hz))
 
 
 def path_through_gaps(
-    poses: PoseSequence,
-    seen: Mask,
-    bone_imus: BoneImuSequence,
-    skeleton: SkeletonModel,
-    settings: RootPathSettings | None = None,
+    poses: PoseSequence, seen: Mask, bone_imus: BoneImuSequence, skeleton: SkeletonModel
 ) -> RootPath | None:
     """Estimate the root's path in frames without keypoints from contacts and accelerations.
 
     Args:
         poses: (T, J) rigid, evenly spaced. seen: (T,) frames with keypoints, where its root is valid.
 
-
     Returns:
         The given root with a standard deviation of 0 where seen, else the estimate. None without foot
         sensors or without keypoints.
     """
-    settings, contacts = settings or RootPathSettings(), detect_contacts(poses, bone_imus, skeleton)
+    contacts = detect_contacts(poses, bone_imus, skeleton)
     ankles = poses.p_world_joint[:, skeleton.index(*contacts.joints), 2]
     standing = contacts.standing & seen[:, None]
     if len(poses) < 4 or not standing.any():
         return None
     system = _System(len(poses), poses.rate_hz)
     root = poses.p_world_joint[:, 0]
-    system.add(0, np.flatnonzero(seen), root[seen], settings.sigma_seen**-2)
+    system.add(0, np.flatnonzero(seen), root[seen], _SEEN**-2)
     height = float(np.median(ankles[standing]))
-    p = _walked(system, poses, bone_imus, contacts, skeleton, height, settings)
+    p = _walked(system, poses, bone_imus, contacts, skeleton, height)
     sigma, flying = np.zeros(len(poses)), np.asarray(~contacts.standing.any(axis=1))
     for start, stop in signals.runs(~seen):
         gap = slice(max(start - 1, 0), stop + 1)  # with the frames seen at its ends
@@ -265,11 +201,11 @@ def path_through_gaps(
         p[gap] += (1 - share) * off[0] + share * off[-1]
         drift = np.full(len(off), np.inf)  # since the nearer of the ends that were seen
         if first:
-            drift = _drift(p[gap], flying[gap], poses.rate_hz, settings)
+            drift = _drift(p[gap], flying[gap], poses.rate_hz)
         if last:
-            back = _drift(p[gap][::-1], flying[gap][::-1], poses.rate_hz, settings)[::-1]
+            back = _drift(p[gap][::-1], flying[gap][::-1], poses.rate_hz)[::-1]
             drift = np.minimum(drift, back)
-        sigma[gap] = np.hypot(settings.sigma_edge, drift)
+        sigma[gap] = np.hypot(_EDGE, drift)
     p[seen], sigma[seen] = root[seen], 0.0
     return RootPath(p, sigma)
 
@@ -309,7 +245,6 @@ def _walked(
     contacts: Contacts,
     skeleton: SkeletonModel,
     ankle_height: float,
-    settings: RootPathSettings,
 ) -> Array:
     """Add feet and accelerations to a system and return its path (T, 3)."""
     rate, every = poses.rate_hz, np.arange(system.frames)
@@ -317,42 +252,36 @@ def _walked(
     feet = relative[:, skeleton.index(*contacts.joints)]
     heights = np.where([False, False, True], ankle_height - feet, np.nan)
     lower = heights[every, feet[..., 2].argmin(axis=1)]
-    system.add(0, every, lower, settings.sigma_lower_height**-2)
+    system.add(0, every, lower, _LOWER_HEIGHT**-2)
     moves = -signals.derivative(feet, rate, 1)
     for i, stands in enumerate(contacts.standing.T):
         still = np.flatnonzero(stands[1:] & stands[:-1])
-        system.add(1, still, moves[still, i], settings.sigma_slip**-2)
-        system.add(0, np.flatnonzero(stands), heights[stands, i], settings.sigma_floor**-2)
+        system.add(1, still, moves[still, i], _SLIP**-2)
+        system.add(0, np.flatnonzero(stands), heights[stands, i], _FLOOR**-2)
     index = skeleton.index(*bone_imus.joints)
     turned = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], bone_imus.p_bone_sensor)
     own = signals.derivative(relative[:, index] + turned, rate, 2)
-    wrong = settings.share_of_motion * np.linalg.norm(own, axis=2)
-    weight = 1 / (settings.sigma_acceleration**2 + wrong**2)
+    wrong = _SHARE_OF_MOTION * np.linalg.norm(own, axis=2)
+    weight = 1 / (_ACCELERATION**2 + wrong**2)
     for s in range(len(index)):
         system.add(2, every[:-2], bone_imus.a_world[1:-1, s] - own[:, s], weight[:, s])
-    return _with_lower_foot(system, feet, settings.sigma_lower)
-
-
-def _with_lower_foot(system: _System, feet: Array, sigma: float) -> Array:
-    """Return the path (T, 3) with Cauchy's loss on the lower ankle's velocity, by reweighting."""
-    every = np.arange(system.frames - 1)
-    moves = -signals.derivative(feet, system.rate_hz, 1)[every, feet[:-1, :, 2].argmin(axis=1)]
-    weight = np.full(len(every), sigma**-2)
-    for _ in range(_ROUNDS):
+    moves = moves[every[:-1], feet[:-1, :, 2].argmin(axis=1)]
+    slower = np.full(len(moves), _LOWER**-2)
+    for _ in range(_ROUNDS):  # Cauchy's loss on the lower ankle's velocity, by reweighting
         whole = copy.deepcopy(system)
-        whole.add(1, every, moves, weight)
+        whole.add(1, every[:-1], moves, slower)
         p = whole.solve()
-        slip = np.linalg.norm(signals.derivative(p, system.rate_hz, 1) - moves, axis=1)
-        weight = 1 / (sigma**2 + slip**2)
+        slip = np.linalg.norm(signals.derivative(p, rate, 1) - moves, axis=1)
+        slower = 1 / (_LOWER**2 + slip**2)
     return p
 
 
-def _drift(p: Array, flying: Mask, rate_hz: float, settings: RootPathSettings) -> Array:
+def _drift(p: Array, flying: Mask, rate_hz: float) -> Array:
     """Return the drift (T,), m: by distance walked, and by flights with the square of their duration."""
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1))])
     flown = np.zeros(len(p))
     for start, stop in signals.runs(flying):
         since = np.minimum(np.arange(len(p)) - start, stop - start)[start:] / rate_hz
-        slow = np.minimum(settings.sigma_flight * since / 2, settings.sigma_aloft)
+        slow = np.minimum(_FLIGHT * since / 2, _ALOFT)
         flown[start:] += (slow * since) ** 2
-    return np.asarray(np.sqrt((settings.drift_per_metre * walked) ** 2 + flown))
+    return np.asarray(np.sqrt((_DRIFT_PER_METRE * walked) ** 2 + flown))

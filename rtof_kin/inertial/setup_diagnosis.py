@@ -8,9 +8,10 @@ and right sensors only with a sensor on a neighbouring segment.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cache
 from itertools import product
 from typing import Final
 
@@ -35,6 +36,7 @@ _SAME_RATIO, _MOST_ALTERNATIVES = 3.0, 3  # [nats] to the likeliest fault, and n
 _QUARTERS_DEG = {90: "90 degrees to the left of", -90: "90 degrees to the right of", 180: "180 degrees from"}
 _NEAR = 2  # joints between segments that are confused with each other
 _SIDES = ("Left", "Right")
+_Total = Callable[[Sequence[SegmentMotion]], float]  # Motions -> log-likelihood, nats
 
 
 class FaultKind(Enum):
@@ -68,8 +70,7 @@ class Fault:
     kind: FaultKind  #: Kind of the fault
     what: str  #: Description with the sensors concerned
     remedy: str  #: What to do about it
-    changes: tuple[_Change, ...] = ()  #: Corrections of single sensors
-    R_world_new: Array | None = None  #: (3, 3) factor of every sensor's R_world_inertial from the left
+    changes: tuple[_Change, ...]  #: Corrections of single sensors
     log_likelihood_ratio: float = 0.0  #: Against the calibration as declared, nats
     alternatives: tuple[str, ...] = ()  #: Descriptions of other faults that are nearly as likely
 
@@ -90,8 +91,6 @@ class Fault:
             raise CalibrationError(f"the calibration {problem}")
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
         R_sensor_bone, R_world_inertial = (calibration.R_sensor_bone.copy(), calibration.R_world_inertial.copy())
-        if self.R_world_new is not None:
-            R_world_inertial = self.R_world_new @ R_world_inertial
         for change in self.changes:
             s = calibration.joints.index(change.declared)
             joints[s], levers[s] = change.joint, change.p_bone_sensor
@@ -108,14 +107,12 @@ class Fault:
 
     def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
         """The motions under the corrected calibration."""
-        changes = {change.declared: change for change in self.changes}
-        out = []
+        changes, out = {change.declared: change for change in self.changes}, []
         for motion in motions:
             if (change := changes.get(motion.joint)) is not None:
-                if change.R_world_new is not None:
-                    motion = motion.turned(change.R_world_new)
+                motion = motion if change.R_world_new is None else motion.turned(change.R_world_new)
                 motion = motion.moved(change.joint, change.R_bone_new, change.p_bone_sensor)
-            out.append(motion if self.R_world_new is None else motion.turned(self.R_world_new))
+            out.append(motion)
         return tuple(out)
 
 
@@ -139,12 +136,12 @@ def diagnose_setup(
     """
     R_pose = turned_to(pose_rotations(pose, skeleton), 0.0)
     motions = segment_motions(bone_imus)
-    scores, seen = _scores(bone_imus, skeleton, visual)
+    total, seen = _scores(bone_imus, skeleton, visual)
     found: list[Fault] = []
     while len(found) < most:
         setup = _Setup(skeleton, {m.joint: m.p_bone_sensor for m in motions}, R_pose, calibration)
         faults = [f for f in setup.possible_faults(seen) if f.kind in kinds]
-        fault = _likeliest(scores, motions, setup, faults)
+        fault = _likeliest(total, motions, setup, faults)
         if fault is None:
             break
         found.append(fault)
@@ -159,22 +156,29 @@ def setup_log_likelihood(
     """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations; see
     `diagnose_setup`.
     """
-    return _scores(bone_imus, skeleton, visual)[0].total(segment_motions(bone_imus))
+    return _scores(bone_imus, skeleton, visual)[0](segment_motions(bone_imus))
 
 
-def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None) -> tuple[_Scores, bool]:
-    """Return scores of motions, and whether a camera saw them."""
+def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None) -> tuple[_Total, bool]:
+    """Return the total log-likelihood as a function of motions, and whether a camera saw them."""
     times = even_times(bone_imus)
     seen = None if visual is None else seen_bones(visual, skeleton, times)
     likelihood = MotionLikelihood(skeleton, seen=seen)
-    return _Scores(likelihood, min(1.0, _LONGEST / (times[-1] - times[0]))), bool(seen)
+    weight = min(1.0, _LONGEST / (times[-1] - times[0]))
+    single, pair = cache(likelihood.single), cache(likelihood.pair)  # each term is computed once
+
+    def total(motions: Sequence[SegmentMotion]) -> float:
+        by_joint = {motion.joint: motion for motion in motions}
+        out = sum(single(motion) for motion in motions)
+        out += sum(pair(by_joint[a], by_joint[b]) for a, b in likelihood.tree(sorted(by_joint)))
+        return float(weight * out)
+
+    return total, bool(seen)
 
 
-def _likeliest(
-    scores: _Scores, motions: Sequence[SegmentMotion], setup: _Setup, faults: Sequence[Fault]
-) -> Fault | None:
-    base = scores.total(motions)
-    ratios = np.array([scores.total(fault._read(motions)) - base for fault in faults])
+def _likeliest(total: _Total, motions: Sequence[SegmentMotion], setup: _Setup, faults: Sequence[Fault]) -> Fault | None:
+    base = total(motions)
+    ratios = np.array([total(fault._read(motions)) - base for fault in faults])
     least = [LEAST_RATIO * (_LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]
     enough = np.flatnonzero(ratios >= least)
     if not len(enough):
@@ -183,26 +187,6 @@ def _likeliest(
     close = [i for i in np.argsort(-ratios) if ratios[i] > ratios[best] - _SAME_RATIO and i != best]
     others = tuple(faults[i].what for i in close[:_MOST_ALTERNATIVES])
     return replace(faults[best], log_likelihood_ratio=float(ratios[best]), alternatives=others)
-
-
-class _Scores:
-    """Total log-likelihoods; the terms of one and of two motions are computed once."""
-
-    def __init__(self, likelihood: MotionLikelihood, weight: float) -> None:
-        self._likelihood, self._weight = likelihood, weight
-        self._known: dict[tuple[SegmentMotion, ...], float] = {}
-
-    def total(self, motions: Sequence[SegmentMotion]) -> float:
-        by_joint = {motion.joint: motion for motion in motions}
-        out = sum(self._of(motion) for motion in motions)
-        out += sum(self._of(by_joint[a], by_joint[b]) for a, b in self._likelihood.tree(sorted(by_joint)))
-        return out * self._weight
-
-    def _of(self, *motions: SegmentMotion) -> float:
-        if motions not in self._known:
-            of = self._likelihood.single if len(motions) == 1 else self._likelihood.pair
-            self._known[motions] = of(*motions)
-        return self._known[motions]
 
 
 @dataclass(frozen=True)
@@ -220,21 +204,6 @@ class _Setup:
 
     def possible_faults(self, seen: bool) -> Iterator[Fault]:
         """Generate all faults; those of the world only where a camera saw the movement."""
-        yield from self._facings(seen)
-        yield from self._mountings()
-        yield from self._swaps()
-        yield from self._elsewhere()
-
-    def is_lone(self, fault: Fault) -> bool:
-        """Return whether no sensor concerned has another one on a neighbouring segment."""
-        if fault.kind in (FaultKind.FACING, FaultKind.WORLD):
-            return False
-        parents = self.skeleton.parents
-        own = {self.index[joint] for joint in self.levers}
-        concerned = {self.index[change.declared] for change in fault.changes}
-        return not any(parents[j] in own or any(parents[k] == j for k in own) for j in concerned)
-
-    def _facings(self, seen: bool) -> Iterator[Fault]:
         for angle, way in _QUARTERS_DEG.items():
             turn = so3.about_axis("z", np.radians(angle))
             R_pose = {joint: self.R_pose[self.index[joint]] for joint in self.levers}
@@ -245,17 +214,36 @@ class _Setup:
                 tuple(self._turned(joint, R.T @ turn @ R) for joint, R in R_pose.items()),
             )
             if seen:
-                what = f"the sensors' world has to be turned by {angle} degrees about the vertical to be "
-                what += "the camera's"
-                remedy = "Turn the sensors' references, or the camera's calibration, by that angle"
-                yield Fault(FaultKind.WORLD, what, remedy, R_world_new=turn)
-
-    def _mountings(self) -> Iterator[Fault]:
-        remedy = "Put it back as it was, or calibrate again as it sits now"
+                yield Fault(
+                    FaultKind.WORLD,
+                    f"the sensors' world has to be turned by {angle} degrees about the vertical to be the camera's",
+                    "Turn the sensors' references, or the camera's calibration, by that angle",
+                    tuple(self._turned(joint, np.eye(3), turn) for joint in self.levers),
+                )
         for joint, axis, angle in product(self.levers, "xyz", _QUARTERS_DEG):
-            what = f"the sensor on {joint} sits turned by {angle} degrees about the segment's {axis} axis "
-            change = self._turned(joint, so3.about_axis(axis, np.radians(angle)))
-            yield Fault(FaultKind.MOUNTING, f"{what}against its calibration", remedy, (change,))
+            yield Fault(
+                FaultKind.MOUNTING,
+                f"the sensor on {joint} sits turned by {angle} degrees about the segment's {axis} axis against its "
+                "calibration",
+                "Put it back as it was, or calibrate again as it sits now",
+                (self._turned(joint, so3.about_axis(axis, np.radians(angle))),),
+            )
+        yield from self._swaps()
+        carriers = {joint for joint, _ in self.skeleton.sensors.values()}
+        for a, b in product(self.levers, sorted(carriers - set(self.levers))):
+            if self._near(a, b) or b == other_side(a):
+                what = f"the sensor declared on {a} sits on {b}"
+                remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
+                yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
+
+    def is_lone(self, fault: Fault) -> bool:
+        """Return whether no sensor concerned has another one on a neighbouring segment."""
+        if fault.kind in (FaultKind.FACING, FaultKind.WORLD):
+            return False
+        parents = self.skeleton.parents
+        own = {self.index[joint] for joint in self.levers}
+        concerned = {self.index[change.declared] for change in fault.changes}
+        return not any(parents[j] in own or any(parents[k] == j for k in own) for j in concerned)
 
     def _swaps(self) -> Iterator[Fault]:
         groups = [(kind, what, [*pairs, *((b, a) for a, b in pairs)]) for kind, what, pairs in self._groups()]
@@ -286,22 +274,13 @@ class _Setup:
                 kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
                 yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
-    def _elsewhere(self) -> Iterator[Fault]:
-        carriers = {joint for joint, _ in self.skeleton.sensors.values()}
-        for a, b in product(self.levers, sorted(carriers - set(self.levers))):
-            if self._near(a, b) or b == other_side(a):
-                what = f"the sensor declared on {a} sits on {b}"
-                remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
-                yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
-
-    def _turned(self, joint: str, R_bone_new: Array) -> _Change:
-        return _Change(joint, joint, R_bone_new, self.levers[joint])
+    def _turned(self, joint: str, R_bone_new: Array, R_world_new: Array | None = None) -> _Change:
+        return _Change(joint, joint, R_bone_new, self.levers[joint], R_world_new)
 
     def _moved(self, declared: str, joint: str) -> _Change:
         """Assign a sensor to another segment; the pose had aligned it with the declared one."""
         R_declared, R_joint = self.R_pose[self.index[declared]], self.R_pose[self.index[joint]]
-        lever = self.levers.get(joint)
-        lever = usual_lever(joint, self.skeleton) if lever is None else lever
+        lever = self.levers[joint] if joint in self.levers else usual_lever(joint, self.skeleton)
         return _Change(declared, joint, R_declared.T @ R_joint, lever)
 
     def _refiled(self, declared: str, joint: str) -> _Change:

@@ -131,8 +131,6 @@ class ClockMap:
 
     def __init__(self, source: str, clock: Clock = Clock.OWN):
         self.source, self.clock = source, clock
-        self.left_out = 0
-        """Samples with a stamp off the line."""
         self._tracks: dict[str, _Track] = {}
         self._jumped: dict[str, tuple[float, float]] = {}  # by stream: its leap and when it was noticed
 
@@ -147,7 +145,6 @@ class ClockMap:
         leap = track.leap(stamp, arrival, speed) if math.isfinite(stamp) else math.nan
         if leap != 0:
             if math.isnan(leap) or not track.suspect(stamp, arrival):
-                self.left_out += 1
                 return float("nan")
             track = self._begin_anew(stream, track, leap, arrival)
         track.accept(stamp, arrival)
@@ -191,9 +188,7 @@ class SessionClock:
 
     def __init__(self, clocks: Mapping[str, Clock]):
         """Begin without any sample. `clocks`: clock of each source, by its name."""
-        self.maps = {name: ClockMap(name, clock) for name, clock in clocks.items()}
-        """`ClockMap` of each source."""
-        self._clocks = dict(clocks)
+        self._maps = {name: ClockMap(name, clock) for name, clock in clocks.items()}
         self._base: _Offset | None = _Offset() if Clock.COMMON in clocks.values() else None
         self._first_arrival = math.nan
 
@@ -202,7 +197,7 @@ class SessionClock:
         if math.isnan(self._first_arrival):
             self._first_arrival = arrival
         self._settle(source, sample.time, arrival)
-        clock_map = self.maps[source]
+        clock_map = self._maps[source]
         time = clock_map.time(stream_of(sample), sample.time, arrival)
         if clock_map.clock is Clock.COMMON:
             if self._base is not None and math.isfinite(time):
@@ -213,18 +208,18 @@ class SessionClock:
 
     def notices(self, arrival: float) -> list[str]:
         """Return sentences about jumps of clocks since the last call. `arrival`: now, s on this machine's clock."""
-        return [text for clock_map in self.maps.values() for text in clock_map.notices(arrival)]
+        return [text for clock_map in self._maps.values() for text in clock_map.notices(arrival)]
 
     def _settle(self, source: str, stamp: float, arrival: float) -> None:
         """Take this machine's clock if nothing came on the common one, which then is one of its own."""
         waiting = self._base is not None and math.isnan(self._base.applied)
-        if waiting and self._clocks[source] is not Clock.COMMON and arrival - self._first_arrival > _WAIT:
+        clock_map = self._maps[source]
+        if waiting and clock_map.clock is Clock.OWN and arrival - self._first_arrival > _WAIT:
             self._base = None
-        clock_map = self.maps[source]
         if self._base is not None or clock_map.clock is Clock.OWN or clock_map.started:
             return
         if not abs(arrival - stamp) <= _LEAP:
-            self.maps[source] = ClockMap(source, Clock.OWN)
+            self._maps[source] = ClockMap(source, Clock.OWN)
 
 
 def with_time(sample: Sample, time: float) -> Sample:

@@ -9,7 +9,7 @@ that stand hold the root, as in mode imu. See `solve.joint_space.fixed_lag` for 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Final
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
@@ -31,7 +30,7 @@ from rtof_kin.live.online_settings import OnlineSettings
 from rtof_kin.live.refinement import Refinement
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.live.sensor_buffer import SensorBuffer
-from rtof_kin.live.window import StatedErrors, Window, WindowPoses, speeds
+from rtof_kin.live.window import StatedErrors, Window
 from rtof_kin.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -48,45 +47,6 @@ _FEW: Final = 3  # frames that are due at once and solved even in a hurry
 _CHECK_EVERY: Final = 10  # images, of which one is compared with its lift
 _ASTRAY_M, _ASTRAY_TIMES = 0.3, 3  # mean distance of joints about the root from the lift, and how often
 _LAST_ITERATIONS: Final = 5
-
-
-def first_lifted(
-    skeleton: SkeletonModel, pose: StreamedPose, sensed: Mapping[str, Array], keypoints: KeypointSequence
-) -> PoseSequence:
-    """Return a lifted pose with measured orientations, its root on the rays of its landmarks.
-
-    `skeleton`: the subject's. sensed: orientations (3, 3) in world by joint.
-    """
-    parents, offsets = skeleton.parents, skeleton.joint_offsets
-    p = pose.p_world_joint[None]
-    R = kinematics.rotations_from_positions(parents, offsets, p)
-    R = np.where(np.isfinite(pose.R_world_bone), pose.R_world_bone, R)
-    for joint, own in sensed.items():
-        R[0, skeleton.names.index(joint)] = own
-    p = kinematics.positions(parents, offsets, p[:, 0], R)
-    return refit_root(PoseSequence(keypoints.times, p, R, skeleton.names), keypoints)
-
-
-def first_sensed(
-    skeleton: SkeletonModel, sensors: SensorBuffer, time: float, ankle_height: float
-) -> PoseSequence | None:
-    """Return the pose that sensors show, above the origin with the lower ankle at a height.
-
-    `skeleton`: the subject's. time: s. ankle_height: in world, m.
-
-    Returns:
-        One frame; None where no sensor has data.
-    """
-    q, known, a, _ = sensors.at(np.array([time]))
-    if not known.any():
-        return None
-    R = np.where(known[..., None, None], so3.from_quat_wxyz(q), np.nan)
-    measured = BoneImuSequence(np.array([time]), R, a, sensors.levers, sensors.joints)
-    poses = poses_from_sensors(skeleton, measured)
-    lowest = float(poses.p_world_joint[0, skeleton.index(*FEET), 2].min())
-    return poses.with_poses(
-        slice(None), poses.p_world_joint + np.array([0.0, 0.0, ankle_height - lowest]), poses.R_world_bone
-    )
 
 
 class OnlineEstimator:
@@ -133,7 +93,6 @@ class OnlineEstimator:
         if self._camera is None and self._sensors is None:
             raise InvalidInputError("setup: neither camera with landmarks nor calibrated sensors")
         self._window = Window(self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames)
-        self._poses = WindowPoses(self._window)
         self._errors = StatedErrors(self._window) if s.confidence else None
         self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
         self._pending: deque[FrameSample] = deque()
@@ -320,7 +279,9 @@ class OnlineEstimator:
         self._lifter.put(sample.time, sample.uv_px, sample.confidence, window.sensed(i))
         if window.lost_s > _BACK_S and (pose := self._lifter.lift([sample.time])[0]) is not None:
             self._move(pose, sample, _BACK_M)
-        window.see(i, sample, offset, speeds(sample, before, 2.5 / self._rate))
+        shortly = before is not None and 0 < sample.time - before.time <= 2.5 / self._rate
+        speed = (sample.uv_px - before.uv_px) / (sample.time - before.time) if before is not None and shortly else None
+        window.see(i, sample, offset, speed)
         age = (window.head - frame) / self._rate
         window.latency_s += 0.1 * (age - window.latency_s)
         if before is None or sample.time > before.time:
@@ -352,8 +313,7 @@ class OnlineEstimator:
             self._move(pose, sample, _ASTRAY_ROOT_M)
         self._astray = self._astray + 1 if far else 0
         if self._astray >= _ASTRAY_TIMES:
-            sensed = self._R_world_bone(sample.time)
-            self._restart(self._state(first_lifted(self.skeleton, pose, sensed, self._keypoints(sample))))
+            self._restart(self._first_lifted(pose, sample))
             self._astray = 0
             self.restarts += 1
 
@@ -366,7 +326,7 @@ class OnlineEstimator:
 
     def _move(self, pose: StreamedPose, sample: FrameSample, least_m: float) -> None:
         """Move the person to where an image and its lift show her, if that is farther than a distance."""
-        poses = self._poses.of(self._window.frames - 1, sample.time)
+        poses = self._window.poses(self._window.frames - 1, sample.time)
         lifted = pose.p_world_joint[0] - poses.p_world_joint[0, 0]
         poses = replace(poses, p_world_joint=poses.p_world_joint + lifted)
         shown = refit_root(poses, self._keypoints(sample))
@@ -393,8 +353,7 @@ class OnlineEstimator:
             (pose,) = self._lifter.lift([sample.time])
             if pose is not None:
                 self._origin = sample.time
-                sensed = self._R_world_bone(sample.time)
-                return self._state(first_lifted(self.skeleton, pose, sensed, self._keypoints(sample)))
+                return self._first_lifted(pose, sample)
             self._pending.popleft()
         return None
 
@@ -404,16 +363,34 @@ class OnlineEstimator:
             self._camera, np.array([sample.time]), sample.uv_px[None], sample.confidence[None], self._landmarks
         )
 
+    def _first_lifted(self, pose: StreamedPose, sample: FrameSample) -> Array:
+        """State of a lifted pose with measured orientations, its root on the rays of its landmarks."""
+        skeleton, p = self.skeleton, pose.p_world_joint[None]
+        R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
+        R = np.where(np.isfinite(pose.R_world_bone), pose.R_world_bone, R)
+        for joint, own in self._R_world_bone(sample.time).items():
+            R[0, skeleton.names.index(joint)] = own
+        p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], R)
+        poses = PoseSequence(np.array([sample.time]), p, R, skeleton.names)
+        return self._state(refit_root(poses, self._keypoints(sample)))
+
     def _first_by_sensors(self) -> Array | None:
+        """State that the sensors show, above the origin with the lower ankle on the floor; None without data."""
         sensors = self._sensors
         if sensors is None or not np.isfinite(sensors.newest).any():
             return None
         at = float(sensors.newest[np.isfinite(sensors.newest)].min())
-        ankle = (self._solver.floor_height or 0.0) + self._solver.ankle_height
-        poses = first_sensed(self.skeleton, sensors, at, ankle)
-        if poses is not None:
-            self._origin = at
-        return None if poses is None else self._state(poses)
+        q, known, a, _ = sensors.at(np.array([at]))
+        if not known.any():
+            return None
+        R = np.where(known[..., None, None], so3.from_quat_wxyz(q), np.nan)
+        measured = BoneImuSequence(np.array([at]), R, a, sensors.levers, sensors.joints)
+        poses = poses_from_sensors(self.skeleton, measured)
+        lowest = float(poses.p_world_joint[0, self.skeleton.index(*FEET), 2].min())
+        height = (self._solver.floor_height or 0.0) + self._solver.ankle_height - lowest
+        p = poses.p_world_joint + np.array([0.0, 0.0, height])
+        self._origin = at
+        return self._state(poses.with_poses(slice(None), p, poses.R_world_bone))
 
     def _state(self, poses: PoseSequence) -> Array:
         """State (3 + 4A,) of the only frame of poses."""
@@ -430,5 +407,5 @@ class OnlineEstimator:
             return None
         time = float(self._time(window.first + i))
         confidence = None if self._errors is None else self._errors.of(i, time)
-        poses = self._poses.of(i, time)
+        poses = self._window.poses(i, time)
         return OnlineEstimate(poses, max(self._newest - time, 0.0), perf_counter() - began, confidence)

@@ -54,47 +54,6 @@ class Quality:
         return self.missing_hz / max(self.missing_hz + self.rate_hz, 1e-9)
 
 
-class Recent:
-    """Times and lateness of the last samples of a stream."""
-
-    def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque(maxlen=_MOST)
-        self._usual_hz = 0.0
-
-    def add(self, time: float, age: float) -> None:
-        """Take a sample. `time`, `age`: s."""
-        self._samples.append((time, age))
-
-    def clear(self) -> None:
-        """Forget the samples, after an interruption."""
-        self._samples.clear()
-
-    def quality(self) -> Quality | None:
-        """Return the figures; None for too few samples."""
-        if not self._samples:
-            return None
-        newest = max(time for time, _ in self._samples)
-        first, last = newest - _OUT_OF_ORDER - _SPAN, newest - _OUT_OF_ORDER
-        while self._samples and self._samples[0][0] < first:
-            self._samples.popleft()
-        times = sorted({time for time, _ in self._samples if first <= time <= last})
-        if len(times) < _FEWEST or times[-1] - times[0] < _SHORTEST:
-            return None
-        span = times[-1] - times[0]
-        period, even = _period([b - a for a, b in pairwise(times)])
-        rate_hz = (len(times) - 1) / span
-        if even:
-            missing, self._usual_hz = max(0, round(span / period) + 1 - len(times)), 1 / period
-        else:  # stamps of arrival, in bursts: only against what was usual
-            usual_hz = self._usual_hz or rate_hz
-            few = rate_hz < _CLEARLY * usual_hz
-            missing, period = round(span * (usual_hz - rate_hz)) if few else 0, 1 / usual_hz
-            self._usual_hz = usual_hz + _ADAPTING * (rate_hz - usual_hz)
-        ages = sorted(age for _, age in self._samples)
-        low, middle, high = (ages[int(share * (len(ages) - 1))] for share in (0.05, 0.5, 0.95))
-        return Quality(rate_hz, period, missing, missing / span, high - low, middle)
-
-
 def _period(steps: list[float]) -> tuple[float, bool]:
     """Return the step without lost samples and whether nearly all steps are whole multiples of it."""
     ordered = sorted(steps)
@@ -149,7 +108,9 @@ class _Stream:
 
     def __init__(self, name: str):
         self.name = name
-        self.recent, self.quality = Recent(), Quality()
+        self.quality = Quality()
+        self._samples: deque[tuple[float, float]] = deque(maxlen=_MOST)  # time and lateness of the last ones, s
+        self._usual_hz = 0.0
         self.heard = math.nan  # [s] on the session's clock, when the last sample came
         self.newest = self.same_since = self.seen = self.counted = math.nan
         self.numbers = b""
@@ -176,8 +137,8 @@ class _Stream:
         elif time - self.newest > self.silence:
             gap = (time - self.newest) / self.quality.period - 1 if self.quality.period else 0.0
             self.lost, self.counted = self.lost_so_far + gap, time
-            self.recent.clear()
-        self.recent.add(time, age)
+            self._samples.clear()
+        self._samples.append((time, age))
         if time <= self.newest:
             return
         if isinstance(sample, FrameSample):
@@ -224,11 +185,29 @@ class _Stream:
         return False if now - self.good.setdefault(state, now) >= _RECOVERED else None
 
     def renew(self) -> None:
-        """Renew the figures, and count what was lost since the last time."""
-        quality = self.recent.quality()
-        if quality is None:
+        """Renew the figures, where there are enough samples, and count what was lost since the last time."""
+        if not self._samples:
             return
-        self.quality = quality
+        newest = max(time for time, _ in self._samples)
+        first, last = newest - _OUT_OF_ORDER - _SPAN, newest - _OUT_OF_ORDER
+        while self._samples and self._samples[0][0] < first:
+            self._samples.popleft()
+        times = sorted({time for time, _ in self._samples if first <= time <= last})
+        if len(times) < _FEWEST or times[-1] - times[0] < _SHORTEST:
+            return
+        span = times[-1] - times[0]
+        period, even = _period([b - a for a, b in pairwise(times)])
+        rate_hz = (len(times) - 1) / span
+        if even:
+            missing, self._usual_hz = max(0, round(span / period) + 1 - len(times)), 1 / period
+        else:  # stamps of arrival, in bursts: only against what was usual
+            usual_hz = self._usual_hz or rate_hz
+            few = rate_hz < _CLEARLY * usual_hz
+            missing, period = round(span * (usual_hz - rate_hz)) if few else 0, 1 / usual_hz
+            self._usual_hz = usual_hz + _ADAPTING * (rate_hz - usual_hz)
+        ages = sorted(age for _, age in self._samples)
+        low, middle, high = (ages[int(share * (len(ages) - 1))] for share in (0.05, 0.5, 0.95))
+        self.quality = Quality(rate_hz, period, missing, missing / span, high - low, middle)
         self.lost, self.counted = self.lost_so_far, self.newest
 
     @property

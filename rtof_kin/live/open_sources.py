@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final
 
 from rtof_kin.core.errors import CalibrationError, SourceError, UnknownNameError
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map, same_sensor
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.live.replay import RecordingReplay, ReplayClock
-from rtof_kin.live.samples import Clock, ImuSample, Sample, Sink, Source
+from rtof_kin.live.samples import Clock, Sink, Source
 from rtof_kin.live.video import VideoSource, is_webcam
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
@@ -28,73 +29,6 @@ _LSL, _WS = "lsl", "ws"
 _OUTLET: Final = "rtof_kin"
 _PORT: Final = 8765  # Of the WebSocket, unless another is given
 _SKELETON: Final = "total_capture"
-
-
-class RenamedSensors:
-    """A source with other names of its sensors; those that a map does not name keep theirs.
-
-    `names`: in the calibration, by serial number, its last characters, or name.
-    """
-
-    def __init__(self, source: Source, names: Mapping[str, str]):
-        self._source, self._names = source, dict(names)
-        self._known: dict[str, str] = {}
-        self.name, self.clock = source.name, source.clock
-        self.start, self.notices, self.close = source.start, source.notices, source.close
-
-    @classmethod
-    def of_file(cls, source: Source, path: str | Path, setup: Recording) -> Self:
-        """Rename by a map of sensors.
-
-        `path`: two columns, the stream's sensor, and its segment or its name in the calibration.
-
-        Raises:
-            FileFormatError: no such map. CalibrationError: the setup has no calibration.
-            UnknownNameError: a segment without a sensor.
-        """
-        if setup.calibration is None:
-            raise CalibrationError(f"map {path}: the setup {setup.name} has no sensors that it could name")
-        sensors = setup.calibration.sensors
-        worn = dict(zip(setup.calibration.joints, sensors, strict=True))
-        names: dict[str, str] = {}
-        for key, place in read_sensor_map(path).items():
-            if place in sensors:
-                names[key] = place
-                continue
-            joint = known_segment(place, setup.skeleton, path)
-            if joint not in worn:
-                where = f"segment in {path} (no sensor of the setup is on it)"
-                raise UnknownNameError(where, [place], sensors)
-            names[key] = worn[joint]
-        return cls(source, names)
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors seen so far, as in the calibration."""
-        return tuple(map(self._renamed, self._source.sensors))
-
-    @property
-    def landmarks(self) -> tuple[str, ...]:
-        """Names of the points of a frame."""
-        return self._source.landmarks
-
-    @property
-    def finished(self) -> bool:
-        """Whether no further sample will come."""
-        return self._source.finished
-
-    def poll(self) -> list[Sample]:
-        """Return what has arrived since the last call, renamed."""
-        return [
-            replace(sample, sensor=self._renamed(sample.sensor)) if isinstance(sample, ImuSample) else sample
-            for sample in self._source.poll()
-        ]
-
-    def _renamed(self, sensor: str) -> str:
-        if sensor not in self._known:
-            fits = (name for key, name in self._names.items() if same_sensor(key, sensor))
-            self._known[sensor] = next(fits, sensor)
-        return self._known[sensor]
 
 
 @dataclass(frozen=True)
@@ -116,29 +50,6 @@ class Streams:
         return self.replay.paced or not self.replayed
 
 
-@dataclass
-class _Opening:
-    """What the words of one command line share."""
-
-    setup: Recording
-    replay: ReplayClock
-    live: bool
-    now: Callable[[], float]
-    detector: Callable[[], PersonDetector]
-    recordings: dict[Path, Recording] = field(default_factory=dict)
-
-    @property
-    def clock(self) -> Clock:
-        """Clock of replays: none of its stamps are of now where something is live."""
-        return Clock.OWN if self.live else Clock.COMMON
-
-    def recording(self, folder: Path) -> Recording:
-        path = folder.resolve()
-        if path not in self.recordings:
-            self.recordings[path] = Recording.load(folder)
-        return self.recordings[path]
-
-
 def open_sources(
     cameras: Sequence[str],
     sensors: Sequence[str],
@@ -153,42 +64,71 @@ def open_sources(
     Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of their own.
 
     `cameras`, `sensors`: words of `CAMERAS` and `SENSORS`. `speed`: of replays, times real time; inf: without pace.
-    `names`: map of sensors, see `RenamedSensors`; None: they have the names of the calibration. `detector`: gives the
+    `names`: map of sensors, see `names_of_map`; None: they have the names of the calibration. `detector`: gives the
     detector of a webcam's or a video's images.
 
     Raises:
         SourceError: nothing is named, or twice; more than one camera; no such file; a speed for what is live.
         RtofError: a recording or the map is damaged, or what a source needs is not installed.
     """
-    words = [word.strip() for word in (*cameras, *sensors)]
+    cameras, sensors = ([word.strip() for word in words] for words in (cameras, sensors))
+    words = [*cameras, *sensors]
     if not words:
         raise SourceError(f"no stream: give --camera ({CAMERAS}), --imus ({SENSORS}), or both")
-    if old := [word for word in words if word.lower().startswith("udp:")]:
-        raise SourceError(f"{old[0]}: UDP is no longer read; send it to an LSL stream and give lsl:NAME")
     if len(cameras) > 1:
         raise SourceError(f"cameras {', '.join(cameras)}: give one of them")
-    for same in (cameras, sensors):
-        if twice := {word for word in same if list(same).count(word) > 1}:
-            raise SourceError(f"{', '.join(sorted(twice))}: given twice; give each stream once")
-    live = any(_is_live(word) for word in words)
+    if twice := {word for word in sensors if sensors.count(word) > 1}:
+        raise SourceError(f"{', '.join(sorted(twice))}: given twice; give each stream once")
+    live = any(map(_is_live, words))
     if live and speed != 1.0:
         raise SourceError(f"speed {speed:g}: is for replays; leave it out where a stream is live")
+    replay, clock = ReplayClock(speed), Clock.OWN if live else Clock.COMMON  # no stamp of a replay is of now
+    renamed = str if names is None else names_of_map(names, setup)
     now: Callable[[], float] = time.monotonic
     if any(map(_is_lsl, words)):
         from rtof_kin.live.lsl import load_pylsl
 
         now = load_pylsl().local_clock
-    opening = _Opening(setup, ReplayClock(speed), live, now, detector)
-    found = [(word, _camera(word, opening)) for word in cameras]
-    found += [(word, _sensors(word, opening)) for word in sensors]
-    sources = tuple(source for _, source in found)
-    if names is not None:
-        sources = tuple(
-            source if isinstance(source, VideoSource) else RenamedSensors.of_file(source, names, setup)
-            for source in sources
-        )
-    own = tuple(source for (word, _), source in zip(found, sources, strict=True) if _is_live(word))
-    return Streams(sources, opening.replay, own)
+    recording = cache(Recording.load)
+    how: dict[str, Any] = {"replay": replay, "clock": clock}
+    sources = [_camera(word, setup, recording, detector, now, **how) for word in cameras]
+    for word in sensors:
+        path = Path(word)
+        if _is_lsl(word):
+            from rtof_kin.live.lsl import LslImuSource
+
+            sources.append(LslImuSource(_stream(word), renamed=renamed))
+        elif not path.exists():
+            raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
+        elif (path / INDEX).is_file():
+            sources.append(RecordingReplay.of_recording(recording(path), video=False, renamed=renamed, **how))
+        else:
+            sources.append(RecordingReplay.of_sensor_file(path, renamed=renamed, **how))
+    own = tuple(source for word, source in zip(words, sources, strict=True) if _is_live(word))
+    return Streams(tuple(sources), replay, own)
+
+
+def names_of_map(path: str | Path, setup: Recording) -> Callable[[str], str]:
+    """Return the name of a sensor in the calibration, by its own; those that a map does not name keep theirs.
+
+    `path`: two columns, the stream's sensor (serial number, its last characters, or name), and its segment or its name
+    in the calibration.
+
+    Raises:
+        FileFormatError: no such map. CalibrationError: the setup has no calibration.
+        UnknownNameError: a segment without a sensor.
+    """
+    if setup.calibration is None:
+        raise CalibrationError(f"map {path}: the setup {setup.name} has no sensors that it could name")
+    sensors = setup.calibration.sensors
+    worn = dict(zip(setup.calibration.joints, sensors, strict=True))
+    names: dict[str, str] = {}
+    for key, place in read_sensor_map(path).items():
+        joint = "" if place in sensors else known_segment(place, setup.skeleton, path)
+        if joint and joint not in worn:
+            raise UnknownNameError(f"segment in {path} (no sensor of the setup is on it)", [place], sensors)
+        names[key] = worn[joint] if joint else place
+    return lambda sensor: next((name for key, name in names.items() if same_sensor(key, sensor)), sensor)
 
 
 def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
@@ -204,70 +144,57 @@ def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
 
 
 def _is_lsl(word: str) -> bool:
-    return word.strip().lower().startswith(f"{_LSL}:")
+    return word.lower().startswith(f"{_LSL}:")
 
 
 def _is_live(word: str) -> bool:
-    return _is_lsl(word) or word.strip().isdecimal() or is_webcam(word.strip())
+    return _is_lsl(word) or word.isdecimal() or is_webcam(word)
 
 
-def _camera(word: str, opening: _Opening) -> Source:
-    setup = opening.setup
+def _camera(
+    word: str,
+    setup: Recording,
+    recording: Callable[[Path], Recording],
+    detector: Callable[[], PersonDetector],
+    now: Callable[[], float],
+    **how: Any,
+) -> Source:
+    """Return the source of a camera's points. `recording`: loads one. `how`: its replays' clocks."""
     if setup.keypoints is None:
         raise SourceError(
             f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin run "
             "VIDEO --only recording"
         )
-    word = word.strip()
-    camera = setup.keypoints.camera
+    camera, path = setup.keypoints.camera, Path(word)
+    size = camera.width_px, camera.height_px
     if _is_lsl(word):
         from rtof_kin.live.lsl import LslFrameSource
 
         return LslFrameSource(_stream(word))
-    path = Path(word)
-    webcam = _is_live(word)
-    if not webcam and path.is_dir():
+    if not _is_live(word) and path.is_dir():
         if not (path / INDEX).is_file():
             raise SourceError(f"camera {word}: a folder without {INDEX}; give {CAMERAS}")
-        recording = opening.recording(path)
-        own = recording.keypoints.camera if recording.keypoints is not None else camera
-        if (own.width_px, own.height_px) != (camera.width_px, camera.height_px):
+        replayed = recording(path)
+        own = replayed.keypoints.camera if replayed.keypoints is not None else camera
+        if (own.width_px, own.height_px) != size:
             raise SourceError(
                 f"camera {word}: its images have {own.width_px} x {own.height_px} px, those of the setup "
-                f"{setup.name} {camera.width_px} x {camera.height_px} px; take a setup of this camera"
+                f"{setup.name} {size[0]} x {size[1]} px; take a setup of this camera"
             )
-        return RecordingReplay.of_recording(recording, opening.replay, sensors=False, clock=opening.clock)
-    if not webcam and not path.is_file():
+        return RecordingReplay.of_recording(replayed, sensors=False, **how)
+    if not _is_live(word) and not path.is_file():
         raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
-    if not webcam and path.suffix.lower() in FORMATS:
-        return RecordingReplay.of_keypoint_file(path, camera, opening.replay, clock=opening.clock)
+    if not _is_live(word) and path.suffix.lower() in FORMATS:
+        return RecordingReplay.of_keypoint_file(path, camera, **how)
     if setup.skeleton_table != _SKELETON:
         raise SourceError(
             f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} "
             f"has {setup.skeleton_table}"
         )
-    return VideoSource(
-        int(word) if word.isdecimal() else path if not webcam else word,
-        opening.detector,
-        camera_px=(camera.width_px, camera.height_px),
-        replay=opening.replay,
-        clock=Clock.COMMON if webcam else opening.clock,
-        now=opening.now,
-    )
-
-
-def _sensors(word: str, opening: _Opening) -> Source:
-    word = word.strip()
-    if _is_lsl(word):
-        from rtof_kin.live.lsl import LslImuSource
-
-        return LslImuSource(_stream(word))
-    path = Path(word)
-    if not path.exists():
-        raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
-    if (path / INDEX).is_file():
-        return RecordingReplay.of_recording(opening.recording(path), opening.replay, video=False, clock=opening.clock)
-    return RecordingReplay.of_sensor_file(path, opening.replay, clock=opening.clock)
+    if _is_live(word):
+        how["clock"] = Clock.COMMON
+    device = int(word) if word.isdecimal() else word if _is_live(word) else path
+    return VideoSource(device, detector, camera_px=size, now=now, **how)
 
 
 def _stream(word: str) -> str:

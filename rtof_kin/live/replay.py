@@ -153,13 +153,25 @@ class Faults:
 _NO_FAULTS: Final = Faults()
 
 
+@dataclass(frozen=True)
+class _Track:
+    """One stream of a replay."""
+
+    name: str  #: Sensor, or `VIDEO`
+    times: Array  #: (T,) s
+    here: NDArray[np.bool_]  #: (T,) whether a row holds a sample
+    sample: Callable[[int], Sample]  #: Of a row
+    delay_s: float = 0.0  #: By how much its samples arrive late, s
+
+
 class RecordingReplay:
     """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
 
-    `streams`: sensors with orientation, at their own times on one clock.
+    `streams`: sensors with orientation, at their own times on one clock. `renamed`: name of a sensor in the
+    calibration, by its own.
 
     Raises:
-        InvalidInputError: neither sensors nor frames. UnknownNameError: a fault of an unknown sensor.
+        UnknownNameError: a fault of an unknown sensor.
     """
 
     def __init__(
@@ -170,22 +182,21 @@ class RecordingReplay:
         replay: ReplayClock | None = None,
         clock: Clock = Clock.COMMON,
         faults: Faults = _NO_FAULTS,
+        renamed: Callable[[str], str] = str,
     ):
-        if not streams and keypoints is None:
-            raise InvalidInputError(f"replay of {name}: there is nothing to replay")
-        names = [stream.name for stream in streams] + ([VIDEO] if keypoints is not None else [])
-        if unknown := [who for who, _, _ in faults.dead if who not in names]:
-            raise UnknownNameError("sensor of the faults", unknown, names)
         self.name, self.clock, self._replay = name, clock, replay or ReplayClock()
-        self._streams, self._frames = tuple(streams), keypoints
-        self.sensors = tuple(stream.name for stream in streams)
+        self.sensors = tuple(renamed(stream.name) for stream in streams)
         """Names of the sensors."""
         self.landmarks: tuple[str, ...] = () if keypoints is None else keypoints.names
         """Names of the points of a frame."""
-        self._faults, self._notices = faults, list[str]()
-        self._arrival, self._stream, self._row = self._arrivals(names)
-        self._next = 0
-        self._closed = False
+        self._tracks = [_sensor(stream, own) for stream, own in zip(streams, self.sensors, strict=True)]
+        self._tracks += [] if keypoints is None else [_video(keypoints, faults)]
+        names = [track.name for track in self._tracks]
+        if unknown := [who for who, _, _ in faults.dead if who not in names]:
+            raise UnknownNameError("sensor of the faults", unknown, names)
+        self._arrival, self._track, self._row = self._arrivals(faults)
+        self._notices = list[str]()
+        self._next, self._closed = 0, False
 
     @classmethod
     def of_recording(
@@ -197,6 +208,7 @@ class RecordingReplay:
         sensors: bool = True,
         clock: Clock = Clock.COMMON,
         faults: Faults = _NO_FAULTS,
+        renamed: Callable[[str], str] = str,
     ) -> Self:
         """Replay a recording.
 
@@ -211,7 +223,7 @@ class RecordingReplay:
         parts = [VIDEO] * (keypoints is not None) + ["sensors"] * (imus is not None)
         streams = () if imus is None else SensorLog.of_imus(imus, recording.name).streams
         name = f"{recording.name} ({' and '.join(parts)})"
-        own = cls(name, streams, keypoints, replay, clock, faults)
+        own = cls(name, streams, keypoints, replay, clock, faults, renamed)
         if video and recording.views:
             own._notices.append(f"{name}: only its first camera is replayed")
         return own
@@ -223,7 +235,7 @@ class RecordingReplay:
         replay: ReplayClock | None = None,
         *,
         clock: Clock = Clock.COMMON,
-        faults: Faults = _NO_FAULTS,
+        renamed: Callable[[str], str] = str,
     ) -> Self:
         """Replay sensor files; orientations that they lack are estimated by the causal filter.
 
@@ -236,7 +248,7 @@ class RecordingReplay:
             log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(f"{Path(path).name} (sensors)", log.streams, None, replay, clock, faults)
+        own = cls(f"{Path(path).name} (sensors)", log.streams, None, replay, clock, renamed=renamed)
         remarks: dict[str, list[str]] = {note: [] for note in log.file_notes}
         for stream in log.streams:
             for note in stream.notes:
@@ -247,13 +259,7 @@ class RecordingReplay:
 
     @classmethod
     def of_keypoint_file(
-        cls,
-        path: str | Path,
-        camera: Camera,
-        replay: ReplayClock | None = None,
-        *,
-        clock: Clock = Clock.COMMON,
-        faults: Faults = _NO_FAULTS,
+        cls, path: str | Path, camera: Camera, replay: ReplayClock | None = None, *, clock: Clock = Clock.COMMON
     ) -> Self:
         """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
 
@@ -266,41 +272,27 @@ class RecordingReplay:
             found = read_detector_keypoints(path, camera)
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(f"{Path(path).name} ({VIDEO})", (), found.keypoints, replay, clock, faults)
+        own = cls(f"{Path(path).name} ({VIDEO})", (), found.keypoints, replay, clock)
         own._notices.append(f"{own.name}: {found.summary}")
         return own
 
-    def _arrivals(self, names: Sequence[str]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Return arrival (N,) s, index of the stream (N,) and row (N,) of all samples, in order."""
-        faults = self._faults
-        kept: list[tuple[Array, int, NDArray[np.int64]]] = []
-        for s, name in enumerate(names):
-            times, here = self._times(s)
+    def _arrivals(self, faults: Faults) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return arrival (N,) s, index of the track (N,) and row (N,) of all samples, in order."""
+        kept: list[NDArray[np.int64]] = []
+        for track in self._tracks:
+            here = track.here
             for who, start, stop in faults.dead:
-                if who == name:
-                    here = here & ~((start <= times) & (times < stop))
-            rows = np.flatnonzero(here)
-            kept.append((times[rows] + (faults.video_delay_s if name == VIDEO else 0.0), s, rows))
-        arrival = np.concatenate([times for times, _, _ in kept])
-        stream = np.concatenate([np.full(len(rows), s) for _, s, rows in kept])
-        row = np.concatenate([rows for _, _, rows in kept])
+                if who == track.name:
+                    here = here & ~((start <= track.times) & (track.times < stop))
+            kept.append(np.flatnonzero(here))
+        times = [track.times[rows] + track.delay_s for track, rows in zip(self._tracks, kept, strict=True)]
+        arrival, row = np.concatenate(times), np.concatenate(kept)
+        tracks = np.repeat(np.arange(len(kept)), list(map(len, kept)))
         rng = np.random.default_rng(faults.seed)
         arrives = rng.random(len(arrival)) >= faults.loss
         arrival = arrival + faults.jitter_s * rng.random(len(arrival))
         order = np.argsort(np.where(arrives, arrival, np.inf), kind="stable")[: int(arrives.sum())]
-        return arrival[order], stream[order], row[order]
-
-    def _times(self, s: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the times (T,) of a stream, s, and which of its rows hold a sample."""
-        if s == len(self._streams):
-            assert self._frames is not None
-            return self._frames.times, np.ones(len(self._frames), dtype=np.bool_)
-        stream = self._streams[s]
-        assert stream.R_inertial_sensor is not None
-        here = np.isfinite(stream.R_inertial_sensor).all(axis=(1, 2))
-        if stream.f_sensor is not None:
-            here |= np.isfinite(stream.f_sensor).all(axis=1)
-        return stream.times, np.asarray(here)
+        return arrival[order], tracks[order], row[order]
 
     @property
     def finished(self) -> bool:
@@ -313,9 +305,9 @@ class RecordingReplay:
         Raises:
             SourceError: the times are those of another clock than another replay's.
         """
-        times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
         self._closed = False
-        self._replay.cover(self.name, min(t[0] for t in times), max(t[-1] for t in times))
+        first = min(float(track.times[0]) for track in self._tracks)
+        self._replay.cover(self.name, first, max(float(track.times[-1]) for track in self._tracks))
 
     def poll(self) -> list[Sample]:
         """Return the samples that arrived up to the shared clock's time."""
@@ -323,27 +315,33 @@ class RecordingReplay:
             return []
         begin = self._next
         self._next += int(np.searchsorted(self._arrival[begin:], self._replay.now(self), side="right"))
-        return [self._sample(i) for i in range(begin, self._next)]
-
-    def _sample(self, i: int) -> Sample:
-        s, row = int(self._stream[i]), int(self._row[i])
-        if s == len(self._streams):
-            frames, faults = self._frames, self._faults
-            assert frames is not None
-            time = float(frames.times[row])
-            if faults.frozen is not None and faults.frozen[0] <= time < faults.frozen[1]:
-                row = max(int(np.searchsorted(frames.times, faults.frozen[0])) - 1, 0)
-            return FrameSample(time + faults.video_delay_s, frames.uv_px[row], frames.confidence[row])
-        stream = self._streams[s]
-        assert stream.R_inertial_sensor is not None
-        f = np.full(3, np.nan) if stream.f_sensor is None else stream.f_sensor[row]
-        return ImuSample(stream.name, float(stream.times[row]), stream.R_inertial_sensor[row], f)
+        return [self._tracks[self._track[i]].sample(int(self._row[i])) for i in range(begin, self._next)]
 
     def notices(self) -> list[str]:
         """Return remarks on the file, once."""
-        told, self._notices = self._notices, []
-        return told
+        notices, self._notices = self._notices, []
+        return notices
 
     def close(self) -> None:
         """Stop."""
         self._closed = True
+
+
+def _sensor(stream: SensorStream, name: str) -> _Track:
+    times, R, f = stream.times, stream.R_inertial_sensor, stream.f_sensor
+    assert R is not None
+    f = np.full((len(times), 3), np.nan) if f is None else f
+    here = np.asarray(np.isfinite(R).all(axis=(1, 2)) | np.isfinite(f).all(axis=1))
+    return _Track(name, times, here, lambda row: ImuSample(name, float(times[row]), R[row], f[row]))
+
+
+def _video(frames: KeypointSequence, faults: Faults) -> _Track:
+    delay, frozen = faults.video_delay_s, faults.frozen
+    still = 0 if frozen is None else max(int(np.searchsorted(frames.times, frozen[0])) - 1, 0)
+
+    def sample(row: int) -> Sample:
+        time = float(frames.times[row])
+        seen = still if frozen is not None and frozen[0] <= time < frozen[1] else row
+        return FrameSample(time + delay, frames.uv_px[seen], frames.confidence[seen])
+
+    return _Track(VIDEO, frames.times, np.ones(len(frames), dtype=np.bool_), sample, delay)

@@ -52,10 +52,6 @@ class Source(Protocol):
         """Clock of the time stamps."""
 
     @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the inertial sensors seen so far."""
-
-    @property
     def landmarks(self) -> tuple[str, ...]:
         """Names of the L points of a frame; empty for a source of sensors."""
 

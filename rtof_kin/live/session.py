@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,7 +26,6 @@ from rtof_kin.live.stream_checks import (
     landmark_sentences,
     number_faults,
     sensor_sentence,
-    shape_faults,
     unknown_sensors,
 )
 from rtof_kin.recording.recording import Recording
@@ -34,9 +33,6 @@ from rtof_kin.recording.recording import Recording
 if TYPE_CHECKING:
     from rtof_kin.live.estimator import OnlineEstimator
 
-_LEAST: Final = 1e-5  # [s]
-_WIDTH: Final = math.log(1.02)
-_BINS: Final = 800
 _AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
 _ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
 _MOST_SENTENCES: Final = 1000
@@ -54,30 +50,6 @@ class SessionSummary:
     streams: Mapping[str, StreamSummary]  #: By sensor, and ``video``
     sentences: tuple[str, ...]  #: What was told, with the time; at most 1000
     folder: Path | None  #: Recording of the session; None where none was made
-
-
-class FrameTimes:
-    """Counts frame times in bins of 2 % width."""
-
-    def __init__(self) -> None:
-        self._counts = np.zeros(_BINS, dtype=np.int64)
-
-    def add(self, seconds: float, frames: int = 1) -> None:
-        """Take frames. `seconds`: of each."""
-        place = int(math.log(max(seconds, _LEAST) / _LEAST) / _WIDTH)
-        self._counts[min(place, _BINS - 1)] += frames
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return int(self._counts.sum())
-
-    def percentile(self, percent: float) -> float:
-        """Return a percentile, s; NaN without frames. `percent`: 0 to 100."""
-        if not self.frames:
-            return float("nan")
-        place = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.frames))
-        return _LEAST * math.exp((place + 0.5) * _WIDTH)
 
 
 class LiveSession:
@@ -129,7 +101,7 @@ class LiveSession:
         self._landmarks: tuple[str, ...] = ()
         self._left_out: dict[str, int] = {}
         self._sentences: list[str] = []
-        self._times, self._spent = FrameTimes(), 0.0
+        self._frame_s, self._spent = array("d"), 0.0  # [s] time for each frame; since the last one
         self._summary: SessionSummary | None = None
 
     # --- one step --------------------------------------------------------------------------------
@@ -155,7 +127,7 @@ class LiveSession:
         self._spent += time.perf_counter() - began
         if estimates:
             seconds = self._spent / len(estimates)
-            self._times.add(seconds, len(estimates))
+            self._frame_s.extend([seconds] * len(estimates))
             self._spent = 0.0
             for estimate in estimates:
                 self.monitor.estimated(estimate, seconds)
@@ -164,26 +136,18 @@ class LiveSession:
     def _arrived(self, arrival: float) -> list[Arrived]:
         """Return what has come; samples whose numbers are of no use have no time."""
         polled = list(self._polled(arrival))
-        landmarks = [len(feed.source.landmarks) for feed, _ in polled]
-        faults = shape_faults([sample for _, sample in polled], landmarks)
-        shaped = [pair for pair, fault in zip(polled, faults, strict=True) if not fault]
-        arrived = [self._clock.arrived(feed.name, sample, arrival) for feed, sample in shaped]
-        wrong = number_faults([sample for _, sample in shaped])
-        for (_, sample), fault in zip(polled, faults, strict=True):
+        arrived = [self._clock.arrived(source, sample, arrival) for source, sample in polled]
+        for i, fault in enumerate(number_faults([sample for _, sample in polled])):
             if fault:
-                stream = stream_of(sample)
-                self._left_out[stream] = self._left_out.get(stream, 0) + 1
-                self._fault(stream, fault, arrival)
-        for i, fault in enumerate(wrong):
-            if fault:
-                self._fault(arrived[i].stream, fault, arrival)
+                stream = arrived[i].stream
+                self._once(stream, fault, f"{stream}: {fault}; such samples are left out", arrival)
                 arrived[i] = replace(arrived[i], time=math.nan)
         for sentence in self._clock.notices(arrival):
             self._tell(sentence, arrival)
         return arrived
 
-    def _polled(self, arrival: float) -> Iterator[tuple[Feed, Sample]]:
-        """Poll all sources; a stream is taken from the first source that gives it."""
+    def _polled(self, arrival: float) -> Iterator[tuple[str, Sample]]:
+        """Poll all sources, by name; a stream is taken from the first source that gives it."""
         for feed in self._feeds:
             samples = feed.poll(arrival)
             for sentence in feed.sentences():
@@ -198,16 +162,12 @@ class LiveSession:
                     self._once(feed.name, stream, text, arrival)
                     continue
                 if stream == VIDEO and feed.source.landmarks != self._landmarks:
-                    self._name(feed, arrival)
-                yield feed, sample
-
-    def _name(self, feed: Feed, arrival: float) -> None:
-        """Take the names of the points that a camera's source gives from now on."""
-        self._landmarks = feed.source.landmarks
-        for sentence in landmark_sentences(self._landmarks, self._setup):
-            self._tell(f"{feed.name}: {sentence}", arrival)
-        if self._recorder is not None:
-            self._recorder.landmarks(self._landmarks)
+                    self._landmarks = feed.source.landmarks  # names of the points from now on
+                    for sentence in landmark_sentences(self._landmarks, self._setup):
+                        self._tell(f"{feed.name}: {sentence}", arrival)
+                    if self._recorder is not None:
+                        self._recorder.landmarks(self._landmarks)
+                yield feed.name, sample
 
     def _look(self, arrived: Sequence[Arrived], arrival: float) -> None:
         """Tell what is new: states of streams, names, sources that do not start, broken laws."""
@@ -313,9 +273,6 @@ class LiveSession:
         for sentence in self._recorder.notices() if self._recorder is not None else ():
             self._tell(sentence, arrival)
 
-    def _fault(self, stream: str, fault: str, arrival: float) -> None:
-        self._once(stream, fault, f"{stream}: {fault}; such samples are left out", arrival)
-
     def _once(self, what: str, kind: str, sentence: str, arrival: float) -> None:
         if (what, kind) not in self._said and len(self._said) < _MOST_SENTENCES:
             self._said.add((what, kind))
@@ -334,7 +291,7 @@ class LiveSession:
 
     def run(
         self,
-        stop: Callable[[], bool] | Event | None = None,
+        stop: Callable[[], bool] = lambda: False,
         *,
         clock: Callable[[], float] = time.monotonic,
         period_s: float = 0.004,
@@ -343,9 +300,8 @@ class LiveSession:
 
         `clock`: of the arrivals, s. period_s: between two polls; 0 for a replay that need not keep pace.
         """
-        stopped = stop.is_set if isinstance(stop, Event) else stop
         try:
-            while not (stopped is not None and stopped()) and not self.finished:
+            while not (stop() or self.finished):
                 arrival = clock()
                 self.step(arrival)
                 time.sleep(max(0.0, period_s - (clock() - arrival)))
@@ -374,33 +330,28 @@ class LiveSession:
             return self._summary
         with suppress(RtofError):
             self._send(rest := self._estimator.finish(), arrival)
-            if rest and self._times.frames:
-                self._times.add(self._times.percentile(50), len(rest))
+            if rest and self._frame_s:
+                self._frame_s.extend([float(np.median(self._frame_s))] * len(rest))
         for feed in self._feeds:
             feed.close()
         if self._checker is not None:
             self._checker.shutdown(wait=False, cancel_futures=True)
-        folder = self._finish_recording(arrival)
+        folder = None
+        if self._recorder is not None:
+            try:
+                self._recorder.finish()
+                folder = self._recorder.folder
+            except RtofError as error:
+                self._tell(f"no recording was made: {error}", arrival)
+            self._tell_notices(arrival)
         self._sinks.close()
         self._summary = self._summed(self.monitor.elapsed(arrival), folder)
         return self._summary
-
-    def _finish_recording(self, arrival: float) -> Path | None:
-        if self._recorder is None:
-            return None
-        try:
-            self._recorder.finish()
-            return self._recorder.folder
-        except RtofError as error:
-            self._tell(f"no recording was made: {error}", arrival)
-            return None
-        finally:
-            self._tell_notices(arrival)
 
     def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
         streams = {
             name: replace(count, too_late=self._estimator.dropped.get(name, 0), left_out=self._left_out.get(name, 0))
             for name, count in self.monitor.counts().items()
         }
-        p50, p99 = (1000 * self._times.percentile(percent) for percent in (50, 99))
-        return SessionSummary(self._times.frames, seconds, p50, p99, streams, self.sentences, folder)
+        p50, p99 = (1e3 * np.percentile(self._frame_s, (50, 99))).tolist() if self._frame_s else (math.nan, math.nan)
+        return SessionSummary(len(self._frame_s), seconds, p50, p99, streams, self.sentences, folder)

@@ -26,8 +26,9 @@ from rtof_kin.live.samples import FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.layouts import is_detector_point
 
-FIRST_SECONDS: Final = 2.0  #: [s] of a sensor after which it is checked
-_AGAIN: Final = 4.5  # [s]
+FIRST_SECONDS: Final = 4.5
+"""[s] of a sensor after which it is checked: so long the direction of gravity takes where it moves."""
+_NEARLY: Final = 0.8  # of it, with which a sensor is checked beside others
 _ORTHONORMAL = 1e-2  # [-] largest deviation of a dot product of a rotation's rows
 _FASTEST_HZ: Final = 2000.0
 _NAMED: Final = 6
@@ -36,14 +37,6 @@ _FOLLOWED: Final = ("rate", "jitter", "samples lost", "stuck")
 
 
 # --- numbers of a sample -------------------------------------------------------------------------
-
-
-def shape_faults(samples: Sequence[Sample], landmarks: Sequence[int]) -> list[str]:
-    """Return for each sample why its arrays cannot even be kept; '' where they can.
-
-    `samples`: of any streams. landmarks: for each sample the number of points that its source names.
-    """
-    return [_shape_fault(sample, L) for sample, L in zip(samples, landmarks, strict=True)]
 
 
 def number_faults(samples: Sequence[Sample]) -> list[str]:
@@ -56,15 +49,6 @@ def number_faults(samples: Sequence[Sample]) -> list[str]:
         for (i, _), fault in zip(imus, _imu_faults(R, f), strict=True):
             out[i] = fault
     return out
-
-
-def _shape_fault(sample: Sample, landmarks: int) -> str:
-    if isinstance(sample, ImuSample):
-        R, f = np.shape(sample.R_inertial_sensor), np.shape(sample.f_sensor)
-        return "" if (R, f) == ((3, 3), (3,)) else f"has shapes {R} and {f}, not (3, 3) and (3,)"
-    if np.shape(sample.uv_px) != (landmarks, 2) or np.shape(sample.confidence) != (landmarks,):
-        return f"has {len(np.atleast_1d(sample.uv_px))} points where {landmarks} are named"
-    return ""
 
 
 def _frame_fault(sample: FrameSample) -> str:
@@ -161,8 +145,6 @@ class _First:
     f: list[Array] = field(default_factory=list)
     start: float = math.inf
     stop: float = -math.inf
-    until: float = FIRST_SECONDS
-    told: set[str] = field(default_factory=set)  # names of checks, or "law"
 
     def add(self, time: float, R: Array, f: Array) -> None:
         self.times.append(time)
@@ -173,11 +155,6 @@ class _First:
     @property
     def seconds(self) -> float:
         return self.stop - self.start
-
-    @property
-    def ready(self) -> bool:
-        """Whether it may be checked beside another sensor."""
-        return self.seconds >= 0.8 * self.until
 
     def stream(self, name: str) -> SensorStream | None:
         """Return the samples in the order of time; None where there are too few."""
@@ -198,10 +175,7 @@ class _First:
 
 
 class FirstSeconds:
-    """Collects the first seconds of every sensor and checks them by physics.
-
-    After two seconds, and again after 4.5 s: the direction of gravity takes so long where a sensor moves.
-    """
+    """Collects the first seconds of every sensor and checks them by physics."""
 
     def __init__(self) -> None:
         self._first: dict[str, _First] = {}
@@ -212,12 +186,10 @@ class FirstSeconds:
         sample = arrived.sample
         if isinstance(sample, FrameSample) or sample.sensor in self._done or math.isnan(arrived.time):
             return
-        first = self._first.get(sample.sensor)
-        if first is None:
-            first = self._first[sample.sensor] = _First(arrived.source)
+        first = self._first.setdefault(sample.sensor, _First(arrived.source))
         first.add(arrived.time, sample.R_inertial_sensor, sample.f_sensor)
-        if len(first.times) > _AGAIN * _FASTEST_HZ:
-            self._finish(sample.sensor)
+        if len(first.times) > FIRST_SECONDS * _FASTEST_HZ:
+            self._finished(sample.sensor)
 
     def due(self) -> Callable[[], list[str]] | None:
         """Return a check that is due, as a function that returns sentences; None where none is.
@@ -225,33 +197,27 @@ class FirstSeconds:
         The sensors of a source that have their first seconds are checked together, because they share
         one declaration. A function must have returned before the next one is asked for.
         """
-        ready = [name for name, first in self._first.items() if first.seconds >= first.until]
-        if not ready:
+        source = next((first.source for first in self._first.values() if first.seconds >= FIRST_SECONDS), None)
+        if source is None:
             return None
-        source = self._first[ready[0]].source
-        near = [n for n, first in self._first.items() if first.source == source and first.ready]
-        streams = [(self._first[name].stream(name), self._first[name].told) for name in near]
-        for name in near:
-            if self._first[name].until == FIRST_SECONDS:
-                self._first[name].until = _AGAIN
-            else:
-                self._finish(name)
-        return lambda: _physics(source, [(stream, told) for stream, told in streams if stream is not None])
+        ready = [n for n, one in self._first.items() if one.source == source and one.seconds >= _NEARLY * FIRST_SECONDS]
+        streams = [self._finished(name).stream(name) for name in ready]
+        return lambda: _physics(source, [stream for stream in streams if stream is not None])
 
-    def _finish(self, name: str) -> None:
+    def _finished(self, name: str) -> _First:
         self._done.add(name)
-        del self._first[name]
+        return self._first.pop(name)
 
 
-def _physics(source: str, streams: Sequence[tuple[SensorStream, set[str]]]) -> list[str]:
-    """Return sentences about laws that do not hold and were not told of these sensors before."""
-    log = SensorLog(Path(source), "live stream", tuple(stream for stream, _ in streams), Declaration())
-    told = {stream.name: names for stream, names in streams}
+def _physics(source: str, streams: Sequence[SensorStream]) -> list[str]:
+    """Return sentences about laws that do not hold; of several that a sensor breaks the first one is told."""
+    log = SensorLog(Path(source), "live stream", tuple(streams), Declaration())
+    told: set[tuple[str, str]] = set()
     failed: dict[str, list[Check]] = {}
     for check in check_log(log):
-        kind = "law" if check.name in LAWS else check.name  # of several broken laws the first one is told
-        if check.failed and not check.name.startswith(_FOLLOWED) and kind not in told[check.subject]:
-            told[check.subject].add(kind)
+        kind = check.subject, "law" if check.name in LAWS else check.name
+        if check.failed and not check.name.startswith(_FOLLOWED) and kind not in told:
+            told.add(kind)
             failed.setdefault(check.name, []).append(check)
     return [_law_sentence(source, checks) for checks in failed.values()]
 

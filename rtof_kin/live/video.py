@@ -70,7 +70,7 @@ class Examination:
         self._latency: deque[float] = deque(maxlen=_RECENT)
         self._detection: deque[float] = deque(maxlen=_RECENT)
         self.problems: deque[str] = deque()
-        """What ended it, for people."""
+        """What ended it."""
         self.points = points
         self.examined = self.dropped = 0
         """Numbers of images, and of those that another one replaced."""
@@ -201,9 +201,9 @@ class VideoSource:
         """Whether it is a webcam."""
         self.name = f"camera {source}" if self.live else Path(str(source)).name
         """Name of the file, or number of the webcam."""
-        self.sensors: tuple[str, ...] = ()
         self._replay, self.clock, self._now = replay or ReplayClock(), clock, now
-        self._run: Examination | None = None
+        self.examination: Examination | None = None
+        """What goes on in threads; None before `start`."""
         self._closed = False
         self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
 
@@ -212,27 +212,17 @@ class VideoSource:
     @property
     def landmarks(self) -> tuple[str, ...]:
         """Names of the points: the skeleton's landmarks, then the detector's own; known from `start` on."""
-        return () if self._run is None else self._run.points.names
+        return () if self.examination is None else self.examination.points.names
 
     @property
     def finished(self) -> bool:
         """Whether the video ended and all was polled."""
-        return self._closed or (self._run is not None and not self.live and self._run.ended)
+        return self._closed or (self.examination is not None and not self.live and self.examination.ended)
 
     @property
     def latency_s(self) -> float:
         """Median time from the taking of an image to its points, s; NaN before the first."""
-        return math.nan if self._run is None else self._run.latency_s
-
-    @property
-    def detection_s(self) -> float:
-        """Median time that detection takes for an image, s; NaN before the first."""
-        return math.nan if self._run is None else self._run.detection_s
-
-    @property
-    def dropped(self) -> int:
-        """Images of a webcam that were not examined."""
-        return 0 if self._run is None else self._run.dropped
+        return math.nan if self.examination is None else self.examination.latency_s
 
     # --- source ------------------------------------------------------------------------------------
 
@@ -243,7 +233,7 @@ class VideoSource:
             SourceError: there is no such camera, it is in use or not allowed, the file is no video, there is
                 no detector, or the images are not those of the calibrated camera.
         """
-        if self._run is not None and not self._closed:
+        if self.examination is not None and not self._closed:
             return
         with ExitStack() as opened:
             try:
@@ -260,7 +250,7 @@ class VideoSource:
                 raise SourceError(f"{error}") from error
             opened.pop_all()  # from here on the threads release them
         self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
-        self._run = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
+        self.examination = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
 
     def poll(self) -> list[Sample]:
         """Return the frames that were examined; without pace it waits for those of the clock's time.
@@ -268,7 +258,7 @@ class VideoSource:
         Raises:
             SourceError: the webcam stopped; it may be started again.
         """
-        run = self._run
+        run = self.examination
         if run is None or self._closed:
             return []
         if not self.live:
@@ -281,7 +271,7 @@ class VideoSource:
 
     def notices(self) -> list[str]:
         """Return what was dropped or doubtful since the last call."""
-        run, told = self._run, list[str]()
+        run, told = self.examination, list[str]()
         if run is None:
             return []
         for said in (run.points.notices, *([] if self.live else [run.problems])):
@@ -303,8 +293,8 @@ class VideoSource:
     def close(self) -> None:
         """Stop the threads and release camera and detector."""
         self._closed = True
-        if self._run is not None:
-            self._run.close()
+        if self.examination is not None:
+            self.examination.close()
 
     # --- images ------------------------------------------------------------------------------------
 

@@ -20,9 +20,9 @@ import json
 import logging
 import socket
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
@@ -200,37 +200,28 @@ def page_headers(host: str) -> dict[str, str]:
 _LOG.addHandler(logging.NullHandler())
 
 
-class _Outbox:
-    """What one client has yet to get; used in the server's thread only."""
+@dataclass(eq=False)
+class _Client:
+    """One client; used in the server's thread only."""
 
-    def __init__(self, texts: list[str]):
-        self._first = deque(texts)
-        self._messages: deque[str] = deque(maxlen=_MESSAGES)
-        self._latest: dict[str, str] = {}
-        self._filled = asyncio.Event()
-        self._filled.set()
+    pending: dict[str, str]  #: What it has yet to get, by kind; a text replaces one of its kind
+    filled: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def put_latest(self, kind: str, text: str) -> bool:
-        """Put a text in the place of one of its kind; return whether there was one."""
-        replaced = kind in self._latest
-        self._latest[kind] = text
-        self._filled.set()
+    def put(self, kind: str, text: str) -> bool:
+        """Add a text; return whether it replaces one."""
+        replaced = self.pending.pop(kind, None) is not None
+        self.pending[kind] = text
+        self.filled.set()
         return replaced
 
-    def put_message(self, text: str) -> None:
-        self._messages.append(text)
-        self._filled.set()
-
-    async def next(self) -> str:
-        """Wait for a text: the first ones, then messages, then the latest of each kind."""
-        while True:
-            for waiting in (self._first, self._messages):
-                if waiting:
-                    return waiting.popleft()
-            for kind in self._latest:
-                return self._latest.pop(kind)
-            self._filled.clear()
-            await self._filled.wait()
+    async def deliver(self, connection: ServerConnection, closed: type[Exception]) -> None:
+        """Send what is pending, the oldest first, until the connection is closed."""
+        with suppress(closed):
+            while True:
+                while self.pending:
+                    await connection.send(self.pending.pop(next(iter(self.pending))))
+                self.filled.clear()
+                await self.filled.wait()
 
 
 class WebSocketServer:
@@ -250,9 +241,9 @@ class WebSocketServer:
         self._closed = optional("websockets.exceptions", "live").ConnectionClosed
         self._skeleton, self._states = skeleton, JointStates(skeleton)
         self._hello = _text({"skeleton": self._states.description(), "floor_m": floor_height})
-        self._clients: set[_Outbox] = set()
-        self._messages: deque[str] = deque(maxlen=_MESSAGES)
-        self._status: list[str] = []
+        self._clients: set[_Client] = set()
+        self._kept: dict[str, str] = {}  # for clients that connect later: the last state and messages
+        self._told = 0
         self._lock = threading.Lock()
         self._waiting: OnlineEstimate | None = None
         self._dropped = 0
@@ -302,7 +293,8 @@ class WebSocketServer:
 
     def tell(self, sentence: str) -> None:
         """Send a message to all clients, and to those that connect later."""
-        self._call(self._put_message, _text({"message": sentence}))
+        self._told += 1
+        self._call(self._put, f"message {self._told % _MESSAGES}", _text({"message": sentence}))
 
     def send_status(self, status: Mapping[str, Any]) -> None:
         """Send the states of the streams to all clients; the last ones also to those that connect later.
@@ -313,7 +305,7 @@ class WebSocketServer:
         Raises:
             InvalidInputError: it is not plain, or has NaN.
         """
-        self._call(self._put_status, _text({"status": dict(status)}))
+        self._call(self._put, "status", _text({"status": dict(status)}))
 
     def close(self) -> None:
         """Stop; may be called twice."""
@@ -347,38 +339,29 @@ class WebSocketServer:
 
     async def _attend(self, connection: ServerConnection) -> None:
         """Serve one client until it leaves; what it says is not used."""
-        box = _Outbox([self._hello, *self._status, *self._messages])
-        self._clients.add(box)
-        sender = asyncio.create_task(self._deliver(connection, box))
+        client = _Client({"hello": self._hello, **self._kept})
+        self._clients.add(client)
+        sender = asyncio.create_task(client.deliver(connection, self._closed))
         try:
             with suppress(self._closed):
                 async for _ in connection:
                     pass
         finally:
-            self._clients.discard(box)
+            self._clients.discard(client)
             sender.cancel()
-
-    async def _deliver(self, connection: ServerConnection, box: _Outbox) -> None:
-        with suppress(self._closed):
-            while True:
-                await connection.send(await box.next())
 
     def _put_estimate(self) -> None:
         with self._lock:
             estimate, self._waiting = self._waiting, None
         if estimate is not None:
             text = _text(self._states.message(estimate))
-            self._dropped += sum(box.put_latest("estimate", text) for box in self._clients)
+            self._dropped += sum(client.put("estimate", text) for client in self._clients)
 
-    def _put_status(self, text: str) -> None:
-        self._status = [text]
-        for box in self._clients:
-            box.put_latest("status", text)
-
-    def _put_message(self, text: str) -> None:
-        self._messages.append(text)
-        for box in self._clients:
-            box.put_message(text)
+    def _put(self, kind: str, text: str) -> None:
+        self._kept.pop(kind, None)
+        self._kept[kind] = text
+        for client in self._clients:
+            client.put(kind, text)
 
     def _answer(self, _: ServerConnection, request: Request) -> Response | None:
         """Return the page or a refusal; None lets a WebSocket client in."""

@@ -75,7 +75,7 @@ class Window:
         """
         self.skeleton, self.camera, self.sensors, self.rate_hz = skeleton, camera, sensors, rate_hz
         self._settings, self.frames, self.first = settings, frames, 1 - frames
-        self.data = _problem(skeleton, camera, landmarks, sensors, settings, rate_hz, frames)
+        self.data = self._problem(landmarks)
         self.smoother = FixedLagSmoother(self.data, frames)
         names = skeleton.names
         self.seen = np.zeros((frames, len(names)), dtype=bool)
@@ -98,6 +98,29 @@ class Window:
         self._standing = np.zeros((frames, len(FEET)), dtype=bool)
         self._holds: list[Array | None] = [None] * len(FEET)
         self._since_image, self.latency_s = 0, 0.0
+        self._whole_of: dict[bytes, Mask] = {}
+
+    def _problem(self, landmarks: Sequence[str]) -> Observations:
+        """Observations of a person who stands in front of the camera, without any: the problem's constants."""
+        camera, sensors, skeleton, N = self.camera, self.sensors, self.skeleton, self.frames
+        times, at = np.arange(N) / self.rate_hz, np.zeros(3)
+        if camera is not None:
+            at = camera.center_world + _AWAY_M * camera.R_camera_world[2]
+        p, R = skeleton.forward_kinematics(skeleton.t_pose()[None])
+        p = np.repeat(p - p[:, :1] + at, N, axis=0)
+        guess = InitialGuess(PoseSequence(times, p, np.repeat(R, N, axis=0), skeleton.names), np.zeros(N))
+        keypoints = None
+        if camera is not None:
+            empty = np.full((N, len(landmarks), 2), np.nan)
+            keypoints = KeypointSequence(camera, times, empty, np.zeros(empty.shape[:2]), tuple(landmarks))
+            keypoints = keypoints.select(measurements(keypoints, skeleton).names)
+        bone_imus = None
+        if sensors is not None:
+            S = len(sensors.joints)
+            R_world_bone = np.tile(np.eye(3), (N, S, 1, 1))
+            bone_imus = BoneImuSequence(times, R_world_bone, np.zeros((N, S, 3)), sensors.levers, sensors.joints)
+        nowhere = ContactPoints(FEET, np.full((N, len(FEET), 3), np.nan))
+        return Observations(skeleton, N, self._settings, guess, keypoints, bone_imus, nowhere)
 
     @property
     def lost_s(self) -> float:
@@ -305,97 +328,43 @@ class Window:
             rows["p_contact"][-1, foot] = self._holds[foot]
             rows["w_contact"][-1, foot] = 1 / s.sigma_contact**2
 
+    # --- results ---------------------------------------------------------------------------------
 
-def _problem(
-    skeleton: SkeletonModel,
-    camera: Camera | None,
-    landmarks: Sequence[str],
-    sensors: SensorBuffer | None,
-    settings: JointSpaceSettings,
-    rate_hz: float,
-    frames: int,
-) -> Observations:
-    """Observations of a person who stands in front of the camera, without any: the problem's constants."""
-    times, at = np.arange(frames) / rate_hz, np.zeros(3)
-    if camera is not None:
-        at = camera.center_world + _AWAY_M * camera.R_camera_world[2]
-    p, R = skeleton.forward_kinematics(skeleton.t_pose()[None])
-    p = np.repeat(p - p[:, :1] + at, frames, axis=0)
-    guess = InitialGuess(PoseSequence(times, p, np.repeat(R, frames, axis=0), skeleton.names), np.zeros(frames))
-    keypoints = None
-    if camera is not None:
-        empty = np.full((frames, len(landmarks), 2), np.nan)
-        keypoints = KeypointSequence(camera, times, empty, np.zeros(empty.shape[:2]), tuple(landmarks))
-        keypoints = keypoints.select(measurements(keypoints, skeleton).names)
-    bone_imus = None
-    if sensors is not None:
-        S = len(sensors.joints)
-        bone_imus = BoneImuSequence(
-            times, np.tile(np.eye(3), (frames, S, 1, 1)), np.zeros((frames, S, 3)), sensors.levers, sensors.joints
-        )
-    nowhere = ContactPoints(FEET, np.full((frames, len(FEET), 3), np.nan))
-    return Observations(skeleton, frames, settings, guess, keypoints, bone_imus, nowhere)
-
-
-def speeds(sample: FrameSample, before: FrameSample | None, longest: float) -> Array | None:
-    """Return the speed (L, 2) of the points, px/s; None without a sample shortly before.
-
-    `longest`: time between them, s.
-    """
-    if before is None or not 0 < sample.time - before.time <= longest:
-        return None
-    return np.asarray((sample.uv_px - before.uv_px) / (sample.time - before.time))
-
-
-class WindowPoses:
-    """Poses of the frames of a window."""
-
-    def __init__(self, window: Window) -> None:
-        self._window, self._skeleton = window, window.skeleton
-        self._whole_of: dict[bytes, Mask] = {}
-
-    def of(self, i: int, time: float) -> PoseSequence:
-        """Return the pose of a frame: provenance, validity and observed orientations as after SF2.
+    def poses(self, i: int, time: float) -> PoseSequence:
+        """Return the pose of frame i of the window: provenance, validity and observed orientations as after SF2.
 
         `time`: of the frame, s.
         """
-        window, skeleton = self._window, self._skeleton
-        p, R = window.data.space.poses(window.smoother.x[i : i + 1])
-        seen, sensed = window.seen[i], np.zeros(len(skeleton.names), dtype=bool)  # by the camera; by its own sensor
-        sensed[list(window.data.problem.energy["orientation"].sensors)] = window.smoother.rows["w_sensor"][i] > 0
+        p, R = self.data.space.poses(self.smoother.x[i : i + 1])
+        parents, names = self.skeleton.parents, self.skeleton.names
+        seen, sensed = self.seen[i], np.zeros(len(names), dtype=bool)  # by the camera; by its own sensor
+        sensed[list(self.data.problem.energy["orientation"].sensors)] = self.smoother.rows["w_sensor"][i] > 0
         by_imu = np.zeros(len(seen), dtype=bool)
-        by_imu[1:] = sensed[list(skeleton.parents[1:])]  # the segments that end in the joints
-        person = window.camera is None or seen.any()
-        unseen = Provenance.PRIOR if person else Provenance.BRIDGED
+        by_imu[1:] = sensed[list(parents[1:])]  # the segments that end in the joints
+        unseen = Provenance.PRIOR if self.camera is None or seen.any() else Provenance.BRIDGED
         provenance = np.where(
             by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), np.where(seen, Provenance.CAMERA, unseen)
         )
-        first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
-        valid: Mask = np.asarray(window.seen[first : i + 1].any(axis=0))
-        if window.camera is None:
+        first = max(i - round(LONGEST_BRIDGE * self.smoother.rate_hz), 0)
+        valid: Mask = np.asarray(self.seen[first : i + 1].any(axis=0))
+        if self.camera is None:
             valid = np.concatenate([[sensed.any()], by_imu[1:]])
-        for j, parent in enumerate(skeleton.parents):
+        for j, parent in enumerate(parents):
             valid[j] |= parent >= 0 and by_imu[j] and valid[parent]
-        return PoseSequence(
-            np.array([time]),
-            p,
-            R,
-            skeleton.names,
-            provenance[None].astype(np.uint8),
-            valid[None],
-            (sensed | (self._whole(seen) & valid))[None],
-        )
+        oriented = sensed | (self._whole(seen) & valid)
+        kinds = provenance[None].astype(np.uint8)
+        return PoseSequence(np.array([time]), p, R, names, kinds, valid[None], oriented[None])
 
     def _whole(self, seen: Mask) -> Mask:
         """(J,) segments whose orientation the joints seen determine."""
-        camera, key = self._window.camera, seen.tobytes()
+        key = seen.tobytes()
         if key not in self._whole_of:
             levels = np.zeros(len(seen), dtype=int)
-            if camera is not None and seen.any():
+            if self.camera is not None and seen.any():
                 uv = np.where(seen[None, :, None], 0.0, np.nan) * np.ones(2)
                 sure = seen[None].astype(float)
-                points = KeypointSequence(camera, np.zeros(1), uv, sure, self._skeleton.names)
-                levels = levels_by_points(self._skeleton, points)[0]
+                points = KeypointSequence(self.camera, np.zeros(1), uv, sure, self.skeleton.names)
+                levels = levels_by_points(self.skeleton, points)[0]
             self._whole_of[key] = levels == WHOLE
         return self._whole_of[key]
 

@@ -107,7 +107,13 @@ def _covariances(setup: Setup, seed: int, lifter: LifterLike | None) -> Iterator
     prepared, s, N = job.prepare(setup.mode), job.settings.fragment, SETTINGS.frames
     assert isinstance(s, JointSpaceSettings)
     data = Observations(
-        prepared.skeleton, N, s, prepared.guess, prepared.keypoints, prepared.bone_imus, places=SETTINGS.sensor_joints
+        prepared.skeleton,
+        N,
+        s,
+        prepared.guess,
+        prepared.recording.video,
+        prepared.bone_imus,
+        places=SETTINGS.sensor_joints,
     )
     solver, last = LevenbergMarquardt(data.problem, data.limits), max(len(prepared.start) - N, 0)
     for first in sorted({round(last * i / (_FRAGMENTS - 1)) for i in range(_FRAGMENTS)}):

@@ -24,7 +24,8 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.document import Document, Figure
+from rtof_kin.reporting.document import Document, Figure, subplots
+from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, plot_skeleton, views
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -92,6 +93,11 @@ class Job:
     subject: str
     take: str
     camera: int | None
+
+    @property
+    def name(self) -> str:
+        """Subject, take and camera in words."""
+        return f"{self.subject} {self.take}" + (f" camera {self.camera}" if self.camera is not None else "")
 
     def motion_file(self, mode: str) -> Path | None:
         """Return the path of a saved motion, or None if motions are not saved."""
@@ -179,17 +185,10 @@ def figures(outcome: Outcome, table: SkeletonTable, rate_hz: float) -> list[Figu
     """Return the figures of a protocol; none if no job has curves."""
     if not (keys := _characters(outcome)):
         return []
+    curves_of, skeletons = "Joint error and error of the right knee over time", "Skeletons over the truth"
     return [
-        Figure(
-            "figures/error_curves",
-            "Joint error and error of the right knee over time",
-            lambda: error_curves(outcome, keys, rate_hz),
-        ),
-        Figure(
-            "figures/skeletons",
-            "Skeletons over the truth at a few instants",
-            lambda: _skeletons(outcome, keys[-1], table.parents, rate_hz),
-        ),
+        Figure("figures/error_curves", curves_of, lambda: error_curves(outcome, keys, rate_hz)),
+        Figure("figures/skeletons", skeletons, lambda: _skeletons(outcome, keys[-1], table.parents, rate_hz)),
     ]
 
 
@@ -210,24 +209,17 @@ def _characters(outcome: Outcome) -> list[str]:
 
 def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Plot:
     """Plot joint error (left) and the error of the right knee's flexion (right) over time, one row a job."""
-    from matplotlib.figure import Figure as Plot
-
-    from rtof_kin.reporting.figures import STAGE_COLORS
-
-    figure = Plot(figsize=(13, 3.4 * len(keys)), layout="constrained")
-    axes = figure.subplots(len(keys), 2, squeeze=False)
+    figure, axes = subplots(len(keys), 2, (13, 3.4 * len(keys)))
     columns = {"rr_mm": "joint error, root-relative [mm]", "knee_deg": "right knee flexion error [deg]"}
     for row, key in zip(axes, keys, strict=True):
-        arrays, facts = outcome.arrays(key), outcome.done[key]
-        where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+        arrays = outcome.arrays(key)
         for ax, (suffix, label) in zip(row, columns.items(), strict=True):
             best = [mode for mode in ("rtof", "rto", "sf2") if f"{mode}_{suffix}" in arrays][:1]
             for mode in (["lift"] if f"lift_{suffix}" in arrays else []) + best:
                 curve = arrays[f"{mode}_{suffix}"]
-                text = f"{NAMES[mode]}: mean {np.nanmean(curve):.1f}"
-                times = np.arange(len(curve)) / rate_hz
+                text, times = f"{NAMES[mode]}: mean {np.nanmean(curve):.1f}", np.arange(len(curve)) / rate_hz
                 ax.plot(times, curve, color=STAGE_COLORS[mode], lw=0.9, label=text)
-            ax.set_title(where, fontsize=10)
+            ax.set_title(_where(outcome, key), fontsize=10)
             ax.set(xlabel="time [s]", ylabel=label)
             ax.set_ylim(bottom=0)
             ax.grid(alpha=0.3)
@@ -235,29 +227,24 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Plot:
     return figure
 
 
+def _where(outcome: Outcome, key: str) -> str:
+    facts = outcome.done[key]
+    return f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+
+
 def _skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float) -> Plot:
     """Plot each mode's skeleton over the truth (green) at a few instants, seen from the camera's right."""
-    from matplotlib.figure import Figure as Plot
-
-    from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, views
-
-    arrays, facts = outcome.arrays(key), outcome.done[key]
+    arrays = outcome.arrays(key)
     view, label = views(arrays["R_camera_world"])[1]
     modes = [mode for mode in NAMES if f"{mode}_snapshots" in arrays]
-    frames = arrays["snapshot_frames"].astype(int)
-    figure = Plot(figsize=(2.6 * len(frames), 2.9 * len(modes)), layout="constrained")
-    axes = figure.subplots(len(modes), len(frames), squeeze=False)
+    frames, truth = arrays["snapshot_frames"], arrays["snapshot_truth"]
+    figure, axes = subplots(len(modes), len(frames), (2.6 * len(frames), 2.9 * len(modes)))
     for row, mode in zip(axes, modes, strict=True):
-        for ax, frame, p, p_true in zip(
-            row, frames, arrays[f"{mode}_snapshots"], arrays["snapshot_truth"], strict=True
-        ):
-            for points, color in ((p_true, TRUTH), (p, STAGE_COLORS[mode])):
-                x, z = view @ (points - points[0]).T
-                bones = np.array([(parent, child) for child, parent in enumerate(parents) if parent >= 0]).T
-                ax.plot(x[bones], z[bones], color=color, lw=2, alpha=0.85)
+        for ax, frame, *both in zip(row, frames, truth, arrays[f"{mode}_snapshots"], strict=True):
+            for points, color in zip(both, (TRUTH, STAGE_COLORS[mode]), strict=True):
+                plot_skeleton(ax, (points - points[0]) @ view.T, parents, color)
             up = f"{NAMES[mode]}\nup [m]" if ax is row[0] else ""
             ax.set(aspect="equal", xlim=(-1.1, 1.1), ylim=(-1.2, 1.0), xlabel=f"{label} [m]", ylabel=up)
             ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
-    where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
-    figure.suptitle(f"{where}: estimate over the truth (green), roots together")
+    figure.suptitle(f"{_where(outcome, key)}: estimate over the truth (green), roots together")
     return figure

@@ -20,7 +20,7 @@ from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import indices_of, some
 from rtof_kin.core.choices import CAMERA_MODES, SPACES, Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.jobs import JobResult, Outcome
@@ -114,10 +114,8 @@ class TotalCaptureProtocol(CameraProtocol):
             raise InvalidInputError("modes sf2 and rtof need sensors; name some, or only lift and rto")
         if self.keypoints is not None and self.noise_px:
             raise InvalidInputError("noise is added to ground-truth 2D only, not to a detector's")
-        if not 0 <= self.noise_px < np.inf:
-            raise InvalidInputError(f"noise_px: {self.noise_px:g} is not a standard deviation")
-        if self.seed < 0:
-            raise InvalidInputError(f"seed: {self.seed} is negative")
+        if not 0 <= self.noise_px < np.inf or self.seed < 0:
+            raise InvalidInputError(f"noise_px {self.noise_px:g}, seed {self.seed}: neither is negative or infinite")
         if self.keypoints is not None and not self.keypoints.is_dir():
             raise FileFormatError(self.keypoints, "there is no such folder of detections")
         lifter_path(self.lifter)
@@ -130,7 +128,8 @@ class TotalCaptureProtocol(CameraProtocol):
         """Return all jobs by key, take by take."""
         return {
             f"{subject}_{take}" + (f"_cam{camera}" if camera else ""): Job(self, subject, take, camera)
-            for subject, take in self.pairs()
+            for subject in self.subjects
+            for take in self.takes
             for camera in (None, *self.cameras)
         }
 
@@ -147,10 +146,6 @@ class TotalCaptureProtocol(CameraProtocol):
     def tables(self, outcome: Outcome) -> list[Table]:
         """See `CameraProtocol.tables`."""
         return all_tables(self, outcome)
-
-    def pairs(self) -> list[tuple[str, str]]:
-        """Return subject and name of every take."""
-        return [(subject, take) for subject in self.subjects for take in self.takes]
 
 
 @lru_cache(maxsize=1)
@@ -277,7 +272,7 @@ def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
     rows = list(rows_of(outcome))
     tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
     if protocol.studies and "rtof" in protocol.modes:
-        tables += [_fragment_length(rows), _visual_weight(rows)]
+        tables += _studied(rows)
     state = _state_of_data(protocol, outcome)
     return [*tables, state] if state.rows else tables
 
@@ -352,9 +347,8 @@ def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     return Table("sixteen_joints", title, ("method", "absolute MPJPE [mm]"), (0, 1), (*printed, *ours), notes)
 
 
-def _fragment_length(rows: list[Row]) -> Table:
-    """Make the study of the fragment length N: speed and error."""
-    columns = {"N": 0, "paper: frames/s": 0} | _PRINTED | {"frames/s": 0} | _MEASURED
+def _studied(rows: list[Row]) -> list[Table]:
+    """Make the studies of the fragment length N, with its speed, and of the visual weight k_V."""
     lines: list[tuple[Cell, ...]] = []
     for N, printed in published.FRAGMENT_LENGTH.items():
         own = _of(rows, length_name(N))
@@ -365,37 +359,26 @@ def _fragment_length(rows: list[Row]) -> Table:
         "Frames per second of one process while all cores work, N/2 new frames a solve, from SF2 "
         "output to blended output: a time, so the one column that differs from run to run."
     )
+    columns = {"N": 0, "paper: frames/s": 0} | _PRINTED | {"frames/s": 0} | _MEASURED
     title = "Total Capture: length N of the fragments"
-    return _table("fragment_length", title, columns, lines, (_AS_PRINTED, note))
-
-
-def _visual_weight(rows: list[Row]) -> Table:
-    """Make the study of the visual weight k_V."""
-    columns = {"k_V": 0} | _PRINTED | _MEASURED
+    lengths = _table("fragment_length", title, columns, lines, (_AS_PRINTED, note))
     lines = [
         (f"{k_V:g}", *printed, *_means(rows, weight_name(k_V), _STUDIED))
         for k_V, printed in published.VISUAL_WEIGHT.items()
     ]
-    title = "Total Capture: weight k_V of the visual energy"
-    return _table("visual_weight", title, columns, lines, (_AS_PRINTED, "k_I = 1 - k_V."))
+    title, columns = "Total Capture: weight k_V of the visual energy", {"k_V": 0} | _PRINTED | _MEASURED
+    return [lengths, _table("visual_weight", title, columns, lines, (_AS_PRINTED, "k_I = 1 - k_V."))]
 
 
 def _state_of_data(protocol: TotalCaptureProtocol, outcome: Outcome) -> Table:
     """List failed measurements, failed checks and notes of the loader."""
     lines: list[tuple[Cell, ...]] = []
-    whole: dict[str, str] = {}
     for key, job in protocol.jobs().items():
-        name = f"{job.subject} {job.take}"
-        if job.camera is None:
-            if key in outcome.failed:
-                whole[name] = outcome.failed[key]
-                lines.append((name, "not measured", outcome.failed[key]))
-        elif key in outcome.failed and outcome.failed[key] != whole.get(name):
-            lines.append((f"{name} camera {job.camera}", "not measured", outcome.failed[key]))
-        facts = outcome.done.get(key, {})
-        where = name if job.camera is None else f"{name} camera {job.camera}"
-        lines += [(where, "check failed", text) for text in facts.get("failed_checks", ())]
-        lines += [(where, "note", text) for text in facts.get("notes", ())]
+        problem, facts = outcome.failed.get(key), outcome.done.get(key, {})
+        if problem and (job.camera is None or problem != outcome.failed.get(f"{job.subject}_{job.take}")):
+            lines.append((job.name, "not measured", problem))
+        lines += [(job.name, "check failed", text) for text in facts.get("failed_checks", ())]
+        lines += [(job.name, "note", text) for text in facts.get("notes", ())]
     title = "Total Capture: missing, suspicious, mended"
     return Table("state_of_data", title, ("take", "what", "message"), (0, 0, 0), lines)
 
@@ -431,18 +414,16 @@ def _notes(protocol: TotalCaptureProtocol, rows: list[Row]) -> tuple[str, ...]:
         keypoints = f"ground-truth 2D with {protocol.noise_px:g} px of white noise per axis"
     else:
         keypoints = "ground-truth 2D of every joint, also outside the picture"
-    calibration = "found from each take itself" if protocol.calibrate else "as the files have it"
-    posture = "of the reference's first T-pose" if protocol.posture else "unknown"
     cameras = sorted({row["camera"] for row in rows if row["camera"]})
     frames = sum(row["frames"] for row in rows if row["method"] == protocol.modes[0])
-    lifter = "Lifter: the shipped one, trained on free motion alone, for which no subject is seen."
-    if protocol.lifter is not None:
-        lifter = f"Lifter: {Path(protocol.lifter).name}."
+    lifter = "the shipped one, trained on free motion alone" if protocol.lifter is None else Path(protocol.lifter).name
     setup = (
         f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all {frames} frames of "
         f"all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: {keypoints}; 21 joints, root included; "
-        f"solved in {protocol.space} space, the sensors' calibration {calibration}, neutral posture {posture}. "
-        f"{lifter} Mode lift is scored with the joints of the network; its saved motions have rigid bones."
+        f"solved in {protocol.space} space, the sensors' calibration "
+        f"{'found from each take itself' if protocol.calibrate else 'as the files have it'}, neutral posture "
+        f"{'of the first T-pose' if protocol.posture else 'unknown'}; lifter: {lifter}. Mode lift is scored with the "
+        "joints of the network; its saved motions have rigid bones."
     )
     return (setup, *_incomplete(protocol, rows))
 
@@ -451,17 +432,9 @@ def _incomplete(protocol: TotalCaptureProtocol, rows: list[Row]) -> list[str]:
     """Return a sentence that names the takes, cameras and modes without a result, if any."""
     done = {(row["subject"], row["take"], row["camera"], row["method"]) for row in rows}
     names = []
-    for take in protocol.pairs():
-        cameras_of: dict[tuple[str, ...], list[str]] = {}
-        for camera in protocol.cameras:
-            modes = tuple(m for m in protocol.modes if (*take, camera, m) not in done)
-            cameras_of.setdefault(modes, []).append(str(camera))
-        for modes, cameras in cameras_of.items():
-            parts = [] if modes == protocol.modes else [*modes]
-            if len(cameras) < len(protocol.cameras):
-                parts.append(f"camera {', '.join(cameras)}")
-            if modes:
-                names.append(" ".join(take) + (f" ({', '.join(parts)})" if parts else ""))
-        if (*take, None, STILL) not in done and list(cameras_of) != [protocol.modes]:
-            names.append(f"{' '.join(take)} ({STILL}, {LOW_PASSED})")
-    return [f"INCOMPLETE, without: {'; '.join(names)}. The last table says why."] if names else []
+    for job in protocol.jobs().values():
+        methods = (STILL,) if job.camera is None else protocol.modes
+        lost = [m for m in methods if (job.subject, job.take, job.camera, m) not in done]
+        if lost:
+            names.append(job.name + ("" if len(lost) == len(methods) else f" ({', '.join(lost)})"))
+    return [f"INCOMPLETE, without: {some(names, 8)}. The last table says why."] if names else []

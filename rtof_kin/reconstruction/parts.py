@@ -31,8 +31,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import Given, SetupEstimate, estimate_setup, excerpt
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.streams import RecordingSource
+from rtof_kin.recording.recording import Recording, RecordingSource
 
 PART_SECONDS: Final = 30.0  #: [s] Length of a part without its margins
 MARGIN_SECONDS: Final = 2.0  #: [s] by which a part is longer at either end, or two fragments where these are longer

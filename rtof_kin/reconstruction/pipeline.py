@@ -71,8 +71,8 @@ def reconstruct(
         priors: of that calibration. Default: `CalibrationPriors.of` the recording.
         calibration: an earlier result of `calibrate_recording` for this recording; it is applied and
             nothing is estimated.
-        known: the calibration of another recording of the same person; what holds for the person and the
-            detector (`SelfCalibration.for_another_recording`) is applied and no longer estimated.
+        known: the calibration of another recording of the same person; what holds for the person
+            (`SelfCalibration.for_another_recording`) is applied and no longer estimated.
         progress: called with (stage, steps done, steps in all).
 
     Raises:
@@ -136,7 +136,7 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     motion = skeleton.motion(poses)
-    legs = None if solution is None else leg_misfit(prepared.keypoints, motion)
+    legs = None if solution is None else leg_misfit(prepared.recording.video, motion)
     found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
     if settings.checks:
         found, position = checks.run(
@@ -152,7 +152,7 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         mode,
         motion,
         stages,
-        prepared.keypoints,
+        prepared.recording.video,
         prepared.bone_imus,
         solution,
         scores.get(mode),

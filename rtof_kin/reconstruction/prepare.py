@@ -139,9 +139,9 @@ class Job:
         if isinstance(self.settings.fragment, JointSpaceSettings):
             places = self._sensor_places(prepared.skeleton)
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
-        report = (lambda i, n: self.progress(stage, i, n)) if stage else None
+        report, clean = (lambda i, n: self.progress(stage, i, n)) if stage else None, prepared.recording
         return solver.solve(
-            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence, views=prepared.views
+            prepared.guess, clean.video, prepared.bone_imus, report, confidence=confidence, views=clean.views
         )
 
     def solved_again(
@@ -190,26 +190,17 @@ class Prepared:
         return (*self.outliers, *self.rejected)
 
     @cached_property
-    def keypoints(self) -> KeypointSequence:
-        """Keypoints at the landmarks of the skeleton: calibrated landmark offsets are removed."""
-        video = self.recording.video
-        return video if self.calibration is None else self.calibration.moved(video, self.start)
-
-    @cached_property
-    def views(self) -> tuple[KeypointSequence, ...]:
-        """The same of further cameras."""
-        views = self.recording.views
-        if self.calibration is None:
-            return views
-        return tuple(self.calibration.moved(view, self.start) for view in views)
-
-    @cached_property
     def guess(self) -> InitialGuess:
         """What the fragment solver and the calibration start from."""
         solver = self.settings.solver(self.skeleton)
         sensors = self.bone_imus if isinstance(solver, JointSpaceSettings) else None
         return initial_guess(
-            self.start, self.keypoints, sensors, self.skeleton, refit_root=solver.refit_root, views=self.views
+            self.start,
+            self.recording.video,
+            sensors,
+            self.skeleton,
+            refit_root=solver.refit_root,
+            views=self.recording.views,
         )
 
     def without(self, wrong: tuple[StreamFault, ...]) -> Prepared:

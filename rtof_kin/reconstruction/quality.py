@@ -36,7 +36,7 @@ def quality_warnings(
     found += zero_warnings(prepared)
     if solution is None:
         return found
-    off = reprojection_errors(prepared.keypoints, prepared.skeleton, solution.poses)
+    off = reprojection_errors(prepared.recording.video, prepared.skeleton, solution.poses)
     return found + misfit_warnings(solution, off, settings)
 
 
@@ -79,10 +79,10 @@ def with_covariances(
     if solution is None or solution.confidence is None:
         return motion, position
     sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
-    statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
+    statistics = residual_statistics(prepared.recording.video, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
-    p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
+    p_camera_joint = motion.poses.p_world_joint - prepared.recording.video.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
     kept = {*sensors} - {fault.what for fault in prepared.rejected}
     legs = None if misfit is None else leg_spread(inflated, misfit, motion, kept)

@@ -25,7 +25,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
-_NOT_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
+_NOT_ENERGY = ("compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
 """Fields of the solver's settings that leave the energy the same."""
 
 
@@ -46,7 +46,6 @@ class Choices:
         space = {JointSpaceSettings: "joint", CartesianSettings: "cartesian"}.get(type(fragment))
         return {
             "space": space,
-            "backend": None if fragment is None else fragment.backend,
             "energy": None if fragment is None else _energy_name(fragment),
             "frames": None if fragment is None else s.frames,
             "guards": ",".join(s.guards),

@@ -104,7 +104,7 @@ def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: Sel
         prepared = job.prepare("sf2", calibration=known)
         assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
         used = replace(prepared, settings=job.settings.with_fragment(solver))
-        slices.append(Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus))
+        slices.append(Slice(prepared.recording, used.guess, prepared.bone_imus))
     progress = partial(own[0].progress, "calibrate")
     found = estimate_calibration(
         slices, priors, solver, settings.frames, progress, without_slipped="motion" in settings.guards

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
-from rtof_kin.core.choices import GUARDS, SPACES, Backend, Guard, Space
+from rtof_kin.core.choices import GUARDS, SPACES, Guard, Space
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
@@ -24,8 +24,6 @@ class ReconstructionSettings:
     space: Space | None = None
     """Variables of the fragment solver: configurations of the skeleton, or joint positions (the paper's); default:
     joint, where a pose prior is shipped for the skeleton."""
-    backend: Backend | None = None
-    """Solver of a fragment; default: realtime in joint space, ipopt in cartesian. Calibration has its own solver."""
     frames: int = 50
     """Frames of a fragment, N."""
     guards: tuple[Guard, ...] = GUARDS
@@ -39,28 +37,21 @@ class ReconstructionSettings:
     recordings with any subset of them share one compilation."""
 
     def __post_init__(self) -> None:
-        if self.fragment is not None and (self.space is not None or self.backend is not None):
-            raise InvalidInputError("settings: give space and backend, or the settings of a fragment, not both")
+        if self.fragment is not None and self.space is not None:
+            raise InvalidInputError("settings: give the space, or the settings of a fragment, not both")
         if self.space is not None and self.space not in SPACES:
             raise UnknownNameError("space", [self.space], SPACES)
         if unknown := sorted({*self.guards} - {*GUARDS}):
             raise UnknownNameError("guard", unknown, GUARDS)
 
     def solver(self, skeleton: SkeletonModel) -> JointSpaceSettings | CartesianSettings:
-        """Return the settings of the fragment solver: those given, else the defaults.
-
-        Raises:
-            InvalidInputError: there is no such backend.
-        """
+        """Return the settings of the fragment solver: those given, else the defaults of the space."""
         if self.fragment is not None:
             return self.fragment
         from rtof_kin.solve.fragment_solver import usual_space
 
-        fragment: JointSpaceSettings | CartesianSettings = CartesianSettings()
-        if (self.space or usual_space(skeleton)) == "joint":
-            fragment = JointSpaceSettings()
-        return fragment if self.backend is None else replace(fragment, backend=self.backend)
+        return JointSpaceSettings() if (self.space or usual_space(skeleton)) == "joint" else CartesianSettings()
 
     def with_fragment(self, fragment: JointSpaceSettings | CartesianSettings | None) -> Self:
         """Return the same settings with others of the fragment solver, or its defaults for None."""
-        return replace(self, fragment=fragment, space=None, backend=None)
+        return replace(self, fragment=fragment, space=None)

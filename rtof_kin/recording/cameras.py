@@ -155,11 +155,11 @@ def _number_of(value: float, unit: float) -> float:
 def filmed_stream(
     camera: CameraTable, keypoints: KeypointsTable, skeleton: SkeletonModel, source: Source
 ) -> tuple[Stream[KeypointSequence], str]:
-    """Read a camera and open its keypoints; those of a camera that turns are stabilised, and a note, else empty, says
-    so. Errors as `read_camera`.
+    """Read a camera and open its keypoints, which are checked; those of a camera that turns are stabilised, and a
+    note, else empty, says so. Errors as `read_camera`.
     """
     seen = read_camera(camera)
-    found = _keypoint_stream(keypoints, seen, skeleton, source)
+    found = source.checked(_keypoint_stream(keypoints, seen, skeleton, source))
     if camera.motion is None:
         return found, ""
     motion = _camera_motion(camera.motion).shifted(camera.motion.start_s)

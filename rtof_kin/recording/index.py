@@ -77,10 +77,9 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
     table = shipped(index.skeleton.table)
     keypoints, imus, calibration, posture, truth = None, None, None, None, None
     if index.camera is not None and index.keypoints is not None:
-        filmed, note = filmed_stream(index.camera, index.keypoints, table, source)
-        keypoints = source.checked(filmed)
+        keypoints, note = filmed_stream(index.camera, index.keypoints, table, source)
         notes = "\n".join(filter(None, (notes, note)))
-    views = tuple(source.checked(filmed_stream(view.camera, view.keypoints, table, source)[0]) for view in index.views)
+    views = tuple(filmed_stream(view.camera, view.keypoints, table, source)[0] for view in index.views)
     body = body_of(**facts)
     if index.imus is not None:
         if index.imus.file is None and keypoints is None:
@@ -159,6 +158,6 @@ def _truth_stream(table: TruthTable, skeleton: SkeletonModel, source: Source) ->
 
     def part(rows: slice) -> PoseSequence:
         with naming(path):
-            return PoseSequence(names=skeleton.names, **arrays.rows(rows))  # type: ignore[arg-type]
+            return PoseSequence(names=skeleton.names, **arrays.rows(rows))
 
     return Stream(times, part)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -24,7 +25,8 @@ from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
@@ -36,10 +38,101 @@ from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keyp
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
-from rtof_kin.recording.streams import ALL, OnDisk, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
+from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
+_LABELS: Final = ("name", "session", "notes")  #: Fields and tables of ``recording.toml`` that nothing is computed from
+
+
+class RecordingSource(ABC):
+    """A recording of which any span of time can be had: a `Recording` in memory, or a `RecordingReader` of its folder.
+
+    Its time axis is that of the frames of its first camera, or of the samples of its sensors.
+    """
+
+    name: str  #: Title in reports
+
+    @property
+    @abstractmethod
+    def streams(self) -> Streams:
+        """All that changes over time."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> Recording:
+        """The recording, of whose samples some may be left out."""
+
+    @abstractmethod
+    def whole(self) -> Recording:
+        """Return all of it in memory."""
+
+    @property
+    def frame_times(self) -> Array | None:
+        """(T,) s of the frames of the first camera; None without one."""
+        return None if self.streams.keypoints is None else self.streams.keypoints.times
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether there are IMUs."""
+        return self.streams.imus is not None
+
+    @property
+    def times(self) -> Array:
+        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+        first = self.streams.keypoints or self.streams.imus
+        assert first is not None  # a recording has either
+        return first.times
+
+    @property
+    def usual_mode(self) -> Mode:
+        """Mode that uses all that was recorded: rtof, rto without IMUs, imu without a camera."""
+        if self.frame_times is None:
+            return "imu"
+        return "rtof" if self.has_sensors else "rto"
+
+    @property
+    def start_s(self) -> float:
+        """First instant, s."""
+        return float(self.times[0])
+
+    @property
+    def stop_s(self) -> float:
+        """Last instant, s."""
+        return float(self.times[-1])
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate, Hz, from the median step; 60 for a single sample."""
+        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
+
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """Return what was recorded in a closed interval, s; samples at its ends belong to it. `InvalidInputError`:
+        neither a camera nor a sensor has a sample in it.
+
+        Where a stream has no sample in it, it is None; views are left out, and all of them where the first
+        camera saw nothing. All else is as in the whole recording, so that no check is repeated which needs
+        the whole: of clocks, and of the sensors' unit.
+        """
+        parts = self.streams.parts(lambda stream: stream.between(start_s, stop_s))
+        if parts["keypoints"] is None and parts["imus"] is None:
+            raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
+        before = 0
+        if parts["keypoints"] is not None and self.frame_times is not None:
+            before = rows_between(self.frame_times, start_s, stop_s).start
+        return replace(self.facts, **parts, first_frame=self.facts.first_frame + before, is_part=True)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from: the samples and facts, not the labels, nor how files hold
+        them.
+        """
+        facts = {name: value for name, value in tomllib.loads(self.facts.index()).items() if name not in _LABELS}
+        lines, streams = [json.dumps(facts, sort_keys=True)], self.streams
+        for number, view in enumerate((streams.keypoints, *streams.views)):
+            lines += _of_stream(f"keypoints {number}", view, keypoint_file_arrays)
+        lines += _of_stream("imus", streams.imus, imu_arrays)
+        lines += _of_stream("truth", streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH})
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -179,64 +272,29 @@ class Recording(RecordingSource):
         """All that changes over time."""
 
         def stream(part: Part | None) -> Stream[Part] | None:
-            return None if part is None else Source().keep(part)
+            return None if part is None else Stream.of(part)
 
-        views = tuple(Source().keep(view) for view in self.views)
+        views = tuple(Stream.of(view) for view in self.views)
         return Streams(stream(self.keypoints), views, stream(self.imus), stream(self.truth))
+
+    @property
+    def facts(self) -> Self:
+        """The recording itself."""
+        return self
 
     def whole(self) -> Self:
         """Return the recording itself."""
         return self
 
-    def between(self, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval; samples at its ends belong to it.
-
-        Where a stream has no sample in it, it is None; views are left out, and all of them where the first
-        camera saw nothing. All else is as in the whole recording, so that no check is repeated which needs
-        the whole: of clocks, and of the sensors' unit.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-
-        Raises:
-            InvalidInputError: neither a camera nor a sensor has a sample in it.
-        """
-        return self.cut(self.streams, start_s, stop_s)
-
-    def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval; see `between`.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-        """
-        parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
-        if parts["keypoints"] is None and parts["imus"] is None:
-            raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
-        before = 0
-        if parts["keypoints"] is not None and streams.keypoints is not None:
-            before = rows_between(streams.keypoints.times, start_s, stop_s).start
-        return replace(self, **parts, first_frame=self.first_frame + before, is_part=True)
-
-    def digest(self) -> str:
-        """Return the SHA-256 of all that is computed from: the samples and facts, not the labels."""
-        return recording_digest(self.index(), self.streams)
-
     # --- files -----------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, folder: str | Path) -> Self:
-        """Read a recording folder.
-
-        Args:
-            folder: that has a file ``recording.toml``.
-
-        Raises:
-            FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    def load(cls, folder: str | Path) -> Recording:
+        """Read a recording folder, which has a file ``recording.toml``; `FileFormatError`, `UnknownNameError` and
+        `UnitError` name file, field and remedy.
         """
-        index = index_of(Path(folder))
-        with naming(index.path):
-            fields, streams = read_index(index, Source())
-            return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))
+        with RecordingReader.open(folder) as reader:
+            return reader.whole()
 
     def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
         """Write the folder that `load` reads back exactly, or nothing at all.
@@ -301,22 +359,6 @@ class Recording(RecordingSource):
         return index
 
 
-_LABELS: Final = ("name", "session", "notes")  #: Fields and tables of ``recording.toml`` that nothing is computed from
-
-
-def recording_digest(index: str, streams: Streams) -> str:
-    """Return the SHA-256 of a recording's numbers and ``recording.toml``; how its files hold them, and its labels, do
-    not matter.
-    """
-    facts = {name: value for name, value in tomllib.loads(index).items() if name not in _LABELS}
-    lines = [json.dumps(facts, sort_keys=True)]
-    for number, view in enumerate((streams.keypoints, *streams.views)):
-        lines += _of_stream(f"keypoints {number}", view, keypoint_file_arrays)
-    lines += _of_stream("imus", streams.imus, imu_arrays)
-    lines += _of_stream("truth", streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH})
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
 def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:
     """Return a line with the digest of each array of a stream, whatever the blocks it is read in."""
     digests: dict[str, Any] = {}
@@ -335,7 +377,7 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
 class RecordingReader(RecordingSource):
     """A recording's folder of which spans of time are read when needed.
 
-    It is checked as a whole when it is opened, by blocks, and kept in temporary files.
+    It is checked as a whole when it is opened, by blocks; its samples are kept in temporary files.
     """
 
     def __init__(self, first: Recording, streams: Streams, closing: ExitStack):
@@ -345,29 +387,13 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a recording's folder; to be closed after use.
-
-        Args:
-            folder: that has a file ``recording.toml``.
-
-        Raises:
-            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
-        """
-        try:
-            return cls._opened(Path(folder))
-        except RtofError:
-            Recording.load(folder)  # its error counts samples from the start of the whole
-            raise
-
-    @classmethod
-    def _opened(cls, folder: Path) -> Self:
-        index = index_of(folder)
+        """Open a recording's folder, to be closed after use; errors as `Recording.load`."""
+        index = index_of(Path(folder))
         with ExitStack() as closing, naming(index.path):
-            fields, streams = read_index(index, OnDisk(closing))
-            parts = streams.parts(lambda stream: stream.part(slice(0, 1)))
-            recording = Recording(**fields, **parts, is_part=True)
+            fields, streams = read_index(index, Source(closing))
+            first = Recording(**fields, **streams.parts(lambda stream: stream.part(slice(0, 1))), is_part=True)
             streams.check_clocks()
-            return cls(recording, streams, closing.pop_all())
+            return cls(first, streams, closing.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -386,22 +412,11 @@ class RecordingReader(RecordingSource):
         """All that changes over time."""
         return self._streams
 
-    def between(self, start_s: float, stop_s: float) -> Recording:
-        """Return what was recorded in a closed interval, as `Recording.between` of the whole does.
-
-        Args:
-            start_s, stop_s: first and last instant, s.
-
-        Raises:
-            InvalidInputError: neither a camera nor a sensor has a sample in it.
-            FileFormatError: the files have changed or cannot be read any more.
-        """
-        return self._first.cut(self._streams, start_s, stop_s)
-
-    def digest(self) -> str:
-        """Return the SHA-256 of all that is computed from, as `Recording.digest` of the whole does."""
-        return recording_digest(self._first.index(), self._streams)
+    @property
+    def facts(self) -> Recording:
+        """Everything but the samples, of which it has the first."""
+        return self._first
 
     def whole(self) -> Recording:
         """Return all of it, as `Recording.load` does."""
-        return replace(self.between(-np.inf, np.inf), is_part=False)
+        return replace(self._first, **self._streams.parts(lambda stream: stream.part(ALL)), is_part=False)

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
-from rtof_kin.core.choices import Mode
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnitError
-from rtof_kin.core.files.arrays import ScratchArrays, csv_blocks, npz_rows, npz_shapes, read_csv, read_npz
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError
+from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
 from rtof_kin.data.imu import ImuSequence, UnitCheck
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
-
-if TYPE_CHECKING:
-    from rtof_kin.recording.recording import Recording
 
 Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
 ALL: Final = slice(None)
@@ -43,6 +39,11 @@ class Stream(Generic[Part]):
 
     times: Array  #: (T,) s
     part: Callable[[slice], Part]  #: Samples of some rows, at least one; of `ALL` they are checked as a whole
+
+    @classmethod
+    def of(cls, whole: Part) -> Stream[Part]:
+        """Return the stream of samples in memory."""
+        return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
 
     def __len__(self) -> int:
         return len(self.times)
@@ -92,71 +93,6 @@ class Streams:
                 )
 
 
-class RecordingSource(ABC):
-    """A recording of which any span of time can be had: a `Recording` in memory, or a `RecordingReader` of its folder.
-
-    Its time axis is that of the frames of its first camera, or of the samples of its sensors.
-    """
-
-    name: str  #: Title in reports
-
-    @property
-    @abstractmethod
-    def streams(self) -> Streams:
-        """All that changes over time."""
-
-    @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-        return None if self.streams.keypoints is None else self.streams.keypoints.times
-
-    @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self.streams.imus is not None
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-        first = self.streams.keypoints or self.streams.imus
-        assert first is not None  # a recording has either
-        return first.times
-
-    @abstractmethod
-    def between(self, start_s: float, stop_s: float) -> Recording:
-        """Return what was recorded in a closed interval; see `Recording.between`."""
-
-    @abstractmethod
-    def whole(self) -> Recording:
-        """Return all of it in memory."""
-
-    @abstractmethod
-    def digest(self) -> str:
-        """Return the SHA-256 of all that is computed from; see `Recording.digest`."""
-
-    @property
-    def usual_mode(self) -> Mode:
-        """Mode that uses all that was recorded: rtof, rto without IMUs, imu without a camera."""
-        if self.frame_times is None:
-            return "imu"
-        return "rtof" if self.has_sensors else "rto"
-
-    @property
-    def start_s(self) -> float:
-        """First instant, s."""
-        return float(self.times[0])
-
-    @property
-    def stop_s(self) -> float:
-        """Last instant, s."""
-        return float(self.times[-1])
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate, Hz, from the median step; 60 for a single sample."""
-        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
-
-
 Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Array]]]
 """From a .csv file and its columns to names and arrays."""
 
@@ -165,118 +101,85 @@ Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Ar
 class Table:
     """Arrays of a file, float64: most have one row for each sample, the others are constant."""
 
-    whole: Mapping[str, Array]  #: Arrays in memory
-    with_rows: frozenset[str] = frozenset()  #: Those of them that have one row for each sample
-    scratch: ScratchArrays | None = None  #: Further arrays with rows, in temporary files
+    arrays: Mapping[str, Array | WaitingArray]  #: By name
+    with_rows: frozenset[str]  #: Names of those with a row for each sample
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of each array."""
-        return {name: array.shape for name, array in self.whole.items()} | self._scratch_shapes
-
-    @property
-    def _scratch_shapes(self) -> dict[str, tuple[int, ...]]:
-        return {} if self.scratch is None else self.scratch.shapes
+        return {name: array.shape for name, array in self.arrays.items()}
 
     def column(self, name: str) -> Array | None:
         """Return a whole array (T,); None where there is none."""
-        if self.scratch is None or name in self.whole:
-            return self.whole.get(name)
-        return self.scratch.rows(name, ALL) if name in self.scratch.shapes else None
+        return self.arrays[name][ALL] if name in self.arrays else None
 
-    def rows(self, rows: slice) -> dict[str, Array]:
+    def rows(self, rows: slice) -> dict[str, Any]:
         """Return rows of all arrays that have them, and the others."""
-        own = {name: array[rows] if name in self.with_rows else array for name, array in self.whole.items()}
-        return own | {name: self.scratch.rows(name, rows) for name in self._scratch_shapes if self.scratch}
+        return {name: array[rows] if name in self.with_rows else array for name, array in self.arrays.items()}
 
 
 class Source:
-    """How arrays are read from files, and where they stay: as a whole, in memory."""
+    """Reads files once, block by block, and keeps their rows until they are needed, most of them outside of memory."""
+
+    def __init__(self, closing: ExitStack):
+        """Take what forgets the rows."""
+        self._closing = closing
 
     def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
         """Open an .npz file of arrays with a row for each sample (axes by name), and of constants; others raise
         `UnknownNameError`.
         """
-        arrays = read_npz(path)
-        indices_of(f"array in {path}", sorted(arrays), (*axes, *constants))
-        return Table(arrays, _with_rows({name: array.shape for name, array in arrays.items()}, axes))
+        shapes = npz_shapes(path)
+        indices_of(f"array in {path}", sorted(shapes), (*axes, *constants))
+        with_rows = frozenset(name for name, shape in shapes.items() if len(shape) == axes.get(name))
+        long = [name for name in shapes if name in with_rows and axes[name] > 1]
+        short = read_npz(path, names=[name for name in shapes if name not in long])
+        blocks = ({name: rows} for name in long for rows in npz_rows(path, name, BLOCK))
+        return Table({**short, **self._kept(blocks)}, with_rows)
 
     def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
         """Read a .csv file; return its names and arrays."""
-        names, arrays = arrange(path, read_csv(path))
+        blocks = csv_blocks(path, BLOCK)
+        names, first = arrange(path, next(blocks))
+        arrays = self._kept(chain([first], (arrange(path, columns)[1] for columns in blocks)))
         return names, Table(arrays, frozenset(arrays))
 
     def keep(self, whole: Part) -> Stream[Part]:
         """Return the stream of samples that could only be read as a whole."""
-        return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
-
-    def checked(self, stream: Stream[Part]) -> Stream[Part]:
-        """Return a stream all of whose samples are checked."""
-        return self.keep(stream.part(ALL))
-
-
-class OnDisk(Source):
-    """Reads files once, block by block, into temporary files of which rows are read when needed."""
-
-    def __init__(self, closing: ExitStack):
-        """Take what closes the files."""
-        self._closing = closing
-
-    def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
-        """See `Source`."""
-        shapes = npz_shapes(path)
-        indices_of(f"array in {path}", sorted(shapes), (*axes, *constants))
-        with_rows = _with_rows(shapes, axes)
-        long = [name for name in shapes if name in with_rows and axes[name] > 1]
-        whole = read_npz(path, names=[name for name in shapes if name not in long])
-        arrays = self._scratch()
-        for name in long:
-            for rows in npz_rows(path, name, BLOCK):
-                arrays.append({name: rows})
-        return Table(whole, with_rows, arrays)
-
-    def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
-        """See `Source`."""
-        arrays = self._scratch()
-        for columns in csv_blocks(path, BLOCK):
-            names, block = arrange(path, columns)
-            arrays.append(block)
-        return names, Table({}, scratch=arrays)
-
-    def keep(self, whole: Part) -> Stream[Part]:
-        """See `Source`."""
-        arrays = self._scratch()
         own = {one.name: getattr(whole, one.name) for one in fields(whole)}
-        arrays.append({name: own[name] for name in own if isinstance(own[name], np.ndarray)})
-        first, kept = whole[:1], Table({}, scratch=arrays)  # nothing here holds the whole
+        kept = self._kept([{name: array for name, array in own.items() if isinstance(array, np.ndarray)}])
+        first = whole[:1]  # nothing here holds the whole
 
         def part(rows: slice) -> Part:
-            some: dict[str, Any] = dict(kept.rows(rows))
+            some: dict[str, Any] = {name: array[rows] for name, array in kept.items()}
             return replace(first, **some)
 
         return Stream(whole.times, part)
 
     def checked(self, stream: Stream[Part]) -> Stream[Part]:
-        """See `Source`."""
-        checked_times("times", stream.times)
+        """Return a stream all of whose samples are checked; errors count them from the start of the whole."""
         unit, names = UnitCheck(), tuple[str, ...]()
-        for part in stream.blocks():
-            if isinstance(part, ImuSequence):
-                unit.add(part.R_inertial_sensor, part.f_sensor)
-                names = part.names
-        if names:
-            unit.check(names)
+        try:
+            checked_times("times", stream.times)
+            for part in stream.blocks():
+                if isinstance(part, ImuSequence):
+                    unit.add(part.R_inertial_sensor, part.f_sensor)
+                    names = part.names
+            if names:
+                unit.check(names)
+        except RtofError:
+            stream.part(ALL)
+            raise
         return stream
 
-    def _scratch(self) -> ScratchArrays:
-        arrays = ScratchArrays()
-        self._closing.callback(arrays.close)
+    def _kept(self, blocks: Iterable[Mapping[str, Array]]) -> dict[str, WaitingArray]:
+        """Return the arrays of blocks of rows, by name."""
+        arrays: dict[str, WaitingArray] = {}
+        for name, rows in (pair for block in blocks for pair in block.items()):
+            if name not in arrays:
+                arrays[name] = self._closing.enter_context(closing(WaitingArray(rows.shape[1:])))
+            arrays[name].append(rows)
         return arrays
-
-
-def _with_rows(shapes: Mapping[str, tuple[int, ...]], axes: Mapping[str, int]) -> frozenset[str]:
-    """Return the names of arrays with a row for each sample."""
-    return frozenset(name for name, shape in shapes.items() if len(shape) == axes.get(name))
 
 
 # --- what all readers share ----------------------------------------------------------------------

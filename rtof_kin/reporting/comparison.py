@@ -241,7 +241,7 @@ def _cautions(found: Comparison) -> list[str]:
             if len(single) == 1
             else "Some angles have a single repeat in both: how much repeats vary is not included there"
         )
-    little = [one.name for one in found.angles if one.share < 0.5]
+    little = [one.name for one in found.angles if one.pair.share < 0.5]
     if little:
         what = "frames" if found.by in ("time", "range") else "repeats"
         names = some([label(name) for name in little])
@@ -288,7 +288,7 @@ def _axis(found: Comparison) -> str:
             text += f", with B shifted by {found.shift:+.3f} s"
         if found.alignment is not None and not found.identical:
             text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
-        shares = [f"{100 * find(one.share for one in found.angles):.0f}" for find in (min, max)]
+        shares = [f"{100 * find(one.pair.share for one in found.angles):.0f}" for find in (min, max)]
         span = " to ".join(dict.fromkeys(shares))
         return f"{text}; {span} % of the frames, by angle, are observed and reliable in both."
     if found.by == "range":
@@ -466,7 +466,7 @@ def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
         "largest_at": None if errors is None else number(errors.at),
         "correlation": None if errors is None else number(errors.correlation),
         "outside_band_share": number(one.outside),
-        "share": number(one.share),
+        "share": number(one.pair.share),
         "repeats_a": one.repeats[0],
         "repeats_b": one.repeats[1],
     }
@@ -500,7 +500,7 @@ def _change_cells(change: Change) -> tuple[Cell, ...]:
 def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     errors = one.errors
     assert errors is not None
-    share = f"{100 * one.share:.0f} %"
+    share = f"{100 * one.pair.share:.0f} %"
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
@@ -558,7 +558,6 @@ def _charts(found: Comparison) -> Data:
 
     groups = []
     for one in found.angles:
-        assert one.curves is not None
         (a, b), (sigma_a, sigma_b), name = one.curves, one.sigmas, label(one.name)
         counts = one.repeats if max(one.repeats) > 1 else (0, 0)
         both = [series("A", a, sigma_a, counts[0]), series("B", b, sigma_b, counts[1])]

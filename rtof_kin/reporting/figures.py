@@ -69,9 +69,9 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
         axes[0][column].set_title(f"{poses.times[frame]:.2f} s")
         for ax, (view, label) in zip(axes[:, column], sides, strict=True):
             if truth is not None:
-                _plot_skeleton(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
+                plot_skeleton(ax, (truth[frame] - root) @ view.T, parents, TRUTH, "truth")
             p = (poses.p_world_joint[frame] - root) @ view.T
-            _plot_skeleton(ax, p, parents, ESTIMATE, result.mode)
+            plot_skeleton(ax, p, parents, ESTIMATE, result.mode)
             ax.set_aspect("equal")
             ax.set_xlim(-1.1, 1.1)
             ax.set_ylim(-1.2, 1.0)
@@ -153,7 +153,8 @@ def views(R_camera_world: Array) -> list[tuple[Array, str]]:
     return [(np.stack([right, up]), "right"), (np.stack([forward, up]), "away from camera")]
 
 
-def _plot_skeleton(ax: Any, points: Array, parents: Sequence[int], color: str, label: str) -> None:
+def plot_skeleton(ax: Any, points: Array, parents: Sequence[int], color: str, label: str | None = None) -> None:
+    """Draw the bones between joints (J, 2)."""
     for child, parent in enumerate(parents):
         if parent >= 0:
             x, y = points[[parent, child]].T

@@ -378,7 +378,7 @@ def _settings(settings: dict[str, Any]) -> dict[str, str]:
         return {}
     rows = {}
     if settings.get("space"):
-        solver = f"{settings['space']} space, {settings.get('backend')}, energy: {settings.get('energy')}"
+        solver = f"{settings['space']} space, energy: {settings.get('energy')}"
         rows["Solver"] = f"{solver}; {settings.get('frames')} frames a fragment"
     if settings.get("lifter"):
         source = "" if settings.get("lift_with_sensors") else ", from the image alone"

@@ -13,8 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import ShapeError
@@ -22,10 +24,59 @@ from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
+from rtof_kin.reconstruction import quality
 from rtof_kin.reconstruction.part_results import PartFindings, joined_checks, joined_warnings, sample
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reporting.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
+
+
+def reprojection_errors(result: Reconstruction) -> Array:
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
+
+    Raises:
+        InvalidInputError: there are no keypoints.
+    """
+    keypoints = result.keypoints or result.recording.video
+    return quality.reprojection_errors(keypoints, result.motion.skeleton, result.motion.poses)
+
+
+def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
+    """Return orientation residuals (T, S) rad across the bone and about it, NaN where unknown.
+
+    The residual of a segment with several children or none is all across.
+    """
+    skeleton, imus = result.motion.skeleton, result.bone_imus
+    assert imus is not None
+    index = skeleton.index(*imus.joints)
+    R = result.motion.poses.R_world_bone[:, index]
+    known = np.isfinite(R).all(axis=(2, 3)) & np.isfinite(imus.R_world_bone).all(axis=(2, 3))
+    off = np.full((*known.shape, 3), np.nan)
+    off[known] = so3.log(np.swapaxes(R[known], -1, -2) @ imus.R_world_bone[known])
+    about = np.zeros(known.shape)
+    for s, j in enumerate(index):
+        children = kinematics.children_of(skeleton.parents, j)
+        if len(children) == 1:
+            bone = so3.unit(skeleton.joint_offsets[children[0]])
+            about[:, s] = off[:, s] @ bone
+            off[:, s] -= about[:, s, None] * bone
+    return np.linalg.norm(off, axis=-1), np.where(known, np.abs(about), np.nan)
+
+
+def acceleration_residuals(result: Reconstruction) -> Array:
+    """Return residuals (T, S) m/s^2 between sensors and the second difference of the motion at their lever
+    arms; NaN at the ends and where unknown.
+    """
+    imus, poses = result.bone_imus, result.motion.poses
+    assert imus is not None
+    index = result.motion.skeleton.index(*imus.joints)
+    lever = np.einsum("tsij,sj->tsi", poses.R_world_bone[:, index], imus.p_bone_sensor)
+    out = np.full(imus.a_world.shape[:2], np.nan)
+    if len(poses) < 3:
+        return out
+    a = np.diff(poses.p_world_joint[:, index] + lever, n=2, axis=0) * poses.rate_hz**2
+    out[1:-1] = np.linalg.norm(a - imus.a_world[1:-1], axis=-1)
+    return out
+
 
 KEPT_ROWS = 20_000  #: Largest number of rows kept for medians; beyond it every second row is dropped, evenly over time
 

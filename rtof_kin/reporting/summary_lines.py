@@ -96,7 +96,7 @@ def _side_differences(sides: Comparison | None) -> Iterator[Finding]:
             name, less = label(one.name), "left" if change.difference > 0 else "right"
             over = " over the gait cycle" if sides is not None and sides.by == "cycle" else ""
             right, left = (f"{np.degrees(value):.0f}°" for value in (change.b, change.a))
-            by = with_band(abs(change.difference), change.half_width(LEVEL) / BAND_95)
+            by = with_band(abs(change.difference), change.error.half_width(LEVEL) / BAND_95)
             text = f"{name}: {change.measure}{over} {right} right, {left} left, that is {by} less on the {less}"
             yield Finding(name.split()[0], text, abs(change.difference) / change.sigma)
 

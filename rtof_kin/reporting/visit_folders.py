@@ -18,10 +18,6 @@ trial. Visits are ordered by their day: that of ``follow.toml``, else the one in
 
     [better]                     # direction that is better: up, down, or (towards) zero
     right_knee_flexion_range = "up"
-
-    [bands]                      # how the variance of the bands is divided, see `BandShares`
-    all_visits = 0.0
-    visit = 1.0
 """
 
 from __future__ import annotations
@@ -38,11 +34,10 @@ import numpy as np
 from pydantic import Strict
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
-from rtof_kin.clinical.follow_up import BandShares
 from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.input_table import InputTable, Names, Number
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.input_table import InputTable, Names
 from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
 from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
@@ -50,7 +45,7 @@ from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 PLAN: Final = "follow.toml"
 _DAY: Final = re.compile(r"(?<!\d)(\d{4})[-_.]?(\d{2})[-_.]?(\d{2})(?!\d)")
 _OF_RUN: Final = "motion"  # folder of the motion in the output of `run`
-_SETTINGS: Final = ("space", "backend", "energy", "lifter", "lift_with_sensors", "calibrate")
+_SETTINGS: Final = ("space", "energy", "lifter", "lift_with_sensors", "calibrate")
 _STEADY: Final = 0.8  # length of the mean of unit vectors along the heading, from which on it has a mean
 Progress = Callable[[int, int], None]
 
@@ -74,13 +69,6 @@ class VisitTable(InputTable):
             raise self.error("date", "not a day; write year, month and day, as 2026-01-31") from error
 
 
-class BandsTable(InputTable):
-    """See `BandShares`."""
-
-    all_visits: Number = 0.0
-    visit: Number = 1.0
-
-
 class Plan(InputTable):
     """The file ``follow.toml``."""
 
@@ -90,7 +78,6 @@ class Plan(InputTable):
     measures: Names = ()
     visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
     better: dict[str, str] = {}
-    bands: BandsTable = BandsTable()
 
     @property
     def names(self) -> dict[str, str]:
@@ -101,14 +88,6 @@ class Plan(InputTable):
     def days(self) -> dict[str, date]:
         """Folder -> day."""
         return {one.folder: one.day for one in self.visit if one.date is not None}
-
-    @property
-    def shares(self) -> BandShares:
-        """How the variance of the bands is divided."""
-        try:
-            return BandShares(self.bands.all_visits, self.bands.visit)
-        except InvalidInputError as error:
-            raise self.error("bands", str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -133,7 +112,7 @@ def read_plan(folder: str | Path) -> Plan:
     plan = Plan.read(path)
     indices_of(f"direction in {path}, [better]", [*plan.better.values()], BETTERS)
     indices_of(f"choice in {path}, by", [plan.by] if plan.by else [], MOVEMENTS)
-    _ = plan.days, plan.shares  # raise if they are wrong
+    _ = plan.days  # raises if one is wrong
     return plan
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from markupsafe import Markup
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import LEVEL
-from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
+from rtof_kin.clinical.comparison_change import LEVEL, MixedError
+from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
 from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
@@ -81,7 +81,6 @@ def follow(
         kind=kind or plan.repetitions,
         better=cast("dict[str, Better]", plan.better),
         names=list(measures) or list(plan.measures),
-        shares=plan.shares,
     )
     return document(found, read.notes, all_printed=bool(measures))
 
@@ -206,7 +205,7 @@ def reasoning(one: Followed, visit: int) -> str:
     text += f" with a 95 % interval of {low} to {high} {unit}"
     if outcome is Outcome.NOT_SHOWN:
         needed = f"{value_text(one.measure, change.detectable)} {unit}"
-        alone = value_text(one.measure, change.half_width(LEVEL))
+        alone = value_text(one.measure, change.error.half_width(LEVEL))
         mostly = value_text(one.measure, one.mostly(visit))
         return (
             f"{text}; smallest change that could be shown among all measures: {needed} (of this one alone "
@@ -253,7 +252,7 @@ def _cautions(found: FollowUp) -> list[str]:
             "Times, cadence and stance of gait have no bands: errors that all trials of a visit share are "
             "not included there"
         )
-    if not any(one.errors.bands.sem > 0 for one in found.measures):
+    if not any(one.errors.bands.sigma > 0 for one in found.measures):
         lines.append(
             "The motions have no bands: errors that all trials of a visit share (camera, mounting) are not included"
         )
@@ -274,26 +273,15 @@ def _cautions(found: FollowUp) -> list[str]:
 
 def _definitions(found: FollowUp) -> dict[str, str]:
     """Name of each standard error -> what it contains."""
-    shares = found.measures[0].errors.shares
-    divided = (
-        f"{100 * shares.visit:.0f} % of their variance counts as common to the trials of a visit, "
-        f"{100 * shares.trial:.0f} % as independent from trial to trial, and "
-        f"{100 * shares.all_visits:.0f} % as common to all visits, which cancels"
-    )
-    twice = "Errors that differ from trial to trial are taken out of the bands, by at most what trials show"
-    if not shares.trial:
-        twice = (
-            "Errors that differ from trial to trial are in the bands too, which do not say how large they "
-            "are: it is too large rather than too small"
-        )
     unit = {"trials": "trial", "strides": "stride or repetition", "nothing": "value"}[found.repeated]
     return {
         "SEM, bands": "of a visit's value, by the bands of the reconstruction: errors of detector, sensors, camera, "
-        f"mounting and model, also those that all trials of a visit share; {divided}. Not the variation of the person.",
+        "mounting and model, all taken as common to the trials of a visit. Not the variation of the person.",
         "SEM, repeats": f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of "
         "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
         "all trials of a visit share.",
-        "SEM, both": f"of a visit's value, the mean over its trials: both of these. {twice}.",
+        "SEM, both": "of a visit's value, the mean over its trials: both of these. Errors that differ from trial to "
+        "trial are in the bands too, which do not say how large they are: it is too large rather than too small.",
         "MDC95": "the change between two visits that errors of that SEM alone exceed in 5 % of cases, of this "
         "measure by itself; 'detectable' is the same among all measures and visits.",
     }
@@ -331,7 +319,7 @@ def _printed(found: FollowUp, all_of_them: bool) -> list[Table | str]:
                 f"{name_of(measure)} [{measure.unit}]",
                 *(value_text(measure, one.estimates[v]) for v in (found.baseline, visit)),
                 value_text(measure, sizes[0], True),
-                *(value_text(measure, value) for value in (sizes[1], both.sem, both.mdc95)),
+                *(value_text(measure, value) for value in (sizes[1], both.sigma, both.mdc95)),
                 _badge(one, visit),
             )
         )
@@ -378,10 +366,10 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         "p": number(tests[0]),
         "p_holm": number(tests[1]),
         "better": one.better,
-        "sem_bands": size(bands.sem),
-        "sem_repeats": size(trials.sem),
-        "sem_repeats_dof": number(trials.dof),
-        "sem_both": size(both.sem),
+        "sem_bands": size(bands.sigma),
+        "sem_repeats": size(trials.sigma),
+        "sem_repeats_dof": number(trials.effective_dof),
+        "sem_both": size(both.sigma),
         "mdc95_bands": size(bands.mdc95),
         "mdc95_repeats": size(trials.mdc95),
         "mdc95_both": size(both.mdc95),
@@ -428,20 +416,19 @@ def _title(one: Followed) -> Markup:
 
 
 def _errors(found: FollowUp) -> Table:
-    def pair(one: Followed, error: Sem, more: str = "") -> tuple[str, str]:
-        sem, mdc = (value_text(one.measure, value) for value in (error.sem, error.mdc95))
+    def pair(one: Followed, error: MixedError, more: str = "") -> tuple[str, str]:
+        sem, mdc = (value_text(one.measure, value) for value in (error.sigma, error.mdc95))
         return (f"{sem} {one.measure.unit}{more}", f"{mdc} {one.measure.unit}") if sem else ("", "")
 
     rows = []
     for one in found.measures:
         errors = one.errors
-        dof = f" ({errors.trials.dof:.0f})" if errors.trials.sem > 0 else ""
+        dof = f" ({errors.trials.dof:.0f})" if errors.trials.sigma > 0 else ""
         rows.append((_title(one), *pair(one, errors.bands), *pair(one, errors.trials, dof), *pair(one, errors.both)))
     return Table(_ERRORS, rows, kind="errors")
 
 
 def _facts(found: FollowUp) -> dict[str, Any]:
-    shares = found.measures[0].errors.shares
     return {
         "visits": [
             {
@@ -457,7 +444,6 @@ def _facts(found: FollowUp) -> dict[str, Any]:
         "repeated": found.repeated.value,
         "level": LEVEL,
         "correction": "Holm, over all rows with a p",
-        "band_shares": {"all_visits": shares.all_visits, "visit": shares.visit, "trial": shares.trial},
         "comparable": not found.incomparable,
         "definitions": _definitions(found),
         "measures": [_measure_facts(found, one) for one in found.measures],
@@ -477,7 +463,7 @@ def _measure_facts(found: FollowUp, one: Followed) -> dict[str, Any]:
         "values": [None if own is None else [number(scale * value) for value in own.values] for own in one.visits],
         "band_sd": [None if own is None else number(scale * own.band_sigma) for own in one.visits],
         "errors": {
-            name: {"sem": number(scale * error.sem), "degrees_of_freedom": number(error.dof)}
+            name: {"sem": number(scale * error.sigma), "degrees_of_freedom": number(error.effective_dof)}
             | {"mdc95": number(scale * error.mdc95)}
             for name, error in (("bands", errors.bands), ("repeats", errors.trials), ("both", errors.both))
         },

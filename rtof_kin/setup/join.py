@@ -45,7 +45,8 @@ def join_recordings(
     if _is_calibrated(first.video.camera) and _is_calibrated(second.video.camera):
         offset, sigma, doubt = 0.0, 0.0, ""
         if not synchronised:
-            clock = find_video_offset(*(lift(k, first.skeleton, lifter).poses for k in (first.video, second.video)))
+            poses, others = (lift(k, first.skeleton, lifter).poses for k in (first.video, second.video))
+            clock = find_video_offset(poses, others)
             offset, sigma, doubt = clock.offset, clock.sigma, clock.doubt
         view = second.video.on_clock(second.video.times + offset)
         joined, pose = replace(first, views=(*first.views, view)), "as calibrated"

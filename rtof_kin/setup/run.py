@@ -196,7 +196,6 @@ def settings_record(settings: ReconstructionSettings) -> dict[str, Any]:
     return {
         "frames": settings.frames,
         "space": settings.space,
-        "backend": settings.backend if fragment is None else fragment.backend,
         "paper": fragment is not None,
         "guards": settings.guards,
         "lift_with_sensors": settings.lift_with_sensors,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array, Index, Mask
-from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.vision.image_points import MIRROR_HARMONICS
@@ -82,23 +80,7 @@ class DetectorErrorTable:
 @cache
 def detector_error_table() -> DetectorErrorTable:
     """Return the shipped table."""
-    return read_detector_error_table(model_path("detector_errors.toml"))
-
-
-def read_detector_error_table(path: str | Path) -> DetectorErrorTable:
-    """Read a table of a detector's errors; `FileFormatError` where it is not TOML, or a field is missing or of the
-    wrong kind, `UnknownNameError` for an unknown layout.
-    """
-    data = load_toml(Path(path))
-    try:
-        return _table(data)
-    except KeyError as error:
-        raise FileFormatError(path, f"the field {error} is missing") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
-
-
-def _table(data: Mapping[str, Any]) -> DetectorErrorTable:
+    data = load_toml(model_path("detector_errors.toml"))
     layout = detector_table().layout(data["layout"])
     group = tuple(data["group"])
     points = [data["point"][_stem(name)] for name in layout.names]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -25,8 +25,8 @@ from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.articulated import ArticulatedMotion
-from rtof_kin.formats.asf_amc import read_amc_frames
-from rtof_kin.formats.bvh import read_bvh_frames
+from rtof_kin.formats.asf_amc import read_asf_amc
+from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.simulation.mocap_families import (
     NAMES,
     PARENTS,
@@ -180,9 +180,6 @@ def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     return replace(clip, poses=PoseSequence(times, p, R, NAMES))
 
 
-_BLOCK: Final = 4096  #: Frames that are mapped at once
-
-
 def read_mocap(
     path: str | Path,
     *,
@@ -210,42 +207,21 @@ def read_mocap(
     """
     path = Path(path)
     if path.suffix.lower() == ".bvh":
-        frames = read_bvh_frames(path, rate_hz)
+        motion = read_bvh(path, rate_hz)
     elif path.suffix.lower() == ".amc":
-        frames = read_amc_frames(find_asf(path) if asf is None else asf, path)
+        motion = read_asf_amc(find_asf(path) if asf is None else asf, path)
     else:
         raise FileFormatError(path, "motion capture is read from .bvh and .amc files")
-    first = frames.motion(slice(0, 1))
-    block = _BLOCK if first.p_parent_joint is None else frames.length  # offsets are the median of moving joints
-
-    def motion(start: int) -> ArticulatedMotion:
-        return without_character(frames.motion(slice(start, start + block)).renamed(names or {}))
-
-    begins = motion(0)
-    family = recognise_family(path, begins)
-    rate, whole = begins.rate_hz, float(round(begins.rate_hz))
+    motion = without_character(motion.renamed(names or {}))
+    family = recognise_family(path, motion)
+    rate, whole = motion.rate_hz, float(round(motion.rate_hz))
     if rate_hz is not None:
         rate = rate_hz
     elif abs(rate - whole) < 2e-4 * rate:  # of a rounded frame time: 0.0083333 s is 120 Hz
         rate = whole
-    unit_m = recognise_unit(path, begins, family) if unit_m is None else unit_m
-    skipped = lead_in(begins, family)
-    if skipped == len(begins) - 1 < frames.length - 1:  # at rest for a whole block
-        skipped = lead_in(frames.motion(slice(None)).renamed(dict(zip(first.names, begins.names, strict=True))), family)
-    starts = range(skipped, frames.length, block)
-    clips = (map_motion(motion(start), family, unit_m, rate, path.stem) for start in starts)
-    clip = _joined(clips, frames.length - skipped, rate)
+    unit_m = recognise_unit(path, motion, family) if unit_m is None else unit_m
+    clip = map_motion(motion[lead_in(motion, family) :], family, unit_m, rate, path.stem)
     return clip if output_rate_hz is None else resample_clip(clip, output_rate_hz)
-
-
-def _joined(clips: Iterable[MocapClip], length: int, rate_hz: float) -> MocapClip:
-    """Return clips one after the other, some at least, as one of so many frames."""
-    p, R = np.empty((length, len(NAMES), 3)), np.empty((length, len(NAMES), 3, 3))
-    start = 0
-    for clip in clips:
-        rows = slice(start, start := start + len(clip.poses))
-        p[rows], R[rows] = clip.poses.p_world_joint, clip.poses.R_world_bone
-    return replace(clip, poses=PoseSequence(np.arange(length) / rate_hz, p, R, NAMES))
 
 
 def find_asf(path_amc: str | Path) -> Path:

@@ -7,7 +7,7 @@ limits) and the paper's joint positions (``cartesian``). Equal calls give equal 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -140,19 +140,6 @@ class FragmentSolver:
             joined(confidences) if confidences else None,
             _spread(blocks),
         )
-
-    def stream(
-        self,
-        start: PoseSequence | InitialGuess,
-        keypoints: KeypointSequence,
-        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
-    ) -> Iterator[PoseSequence]:
-        """Yield the poses of `solve`, with its arguments, N/2 frames at a time, each block as soon as it is final."""
-        guess, bone_imus = self._guess(start, keypoints, bone_imus, None)
-        for block in self._solver.run(guess, keypoints, bone_imus, None, None):
-            p, R = block.p_world_joint, block.R_world_bone
-            poses = replace(guess.poses[block.frames], p_world_joint=p, R_world_bone=R)
-            yield self._solver.oriented(poses, keypoints[block.frames], bone_imus)
 
     def _guess(
         self,

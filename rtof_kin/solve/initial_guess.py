@@ -45,9 +45,6 @@ class InertialGuidedIKSettings:
     threshold: float | None = None
     """theta_t [rad], as in the paper: where sensor and observed bone differ by more, the sensor's orientation is used;
     else the observed direction with the sensor's twist. 0: always the sensor, pi: never."""
-    blend_angle: float | None = None
-    """[rad] Blending instead of a threshold: the rotation nearest to v b^T + w R_imu, with the weight ``w = 1 / (1 +
-    (theta / blend_angle)^2)``."""
     sigma_sensor: float = np.radians(2.5)
     """[rad] of a sensor's segment where neither is given. Only its ratio to the observation's counts: a lifter's own
     are half of its errors on other rigs, and so is this of usual sensors'."""
@@ -55,10 +52,8 @@ class InertialGuidedIKSettings:
     def __post_init__(self) -> None:
         if self.threshold is not None and not 0 <= self.threshold <= np.pi:
             raise InvalidInputError(f"threshold: {self.threshold} rad is outside [0, pi]")
-        for name in ("blend_angle", "sigma_sensor"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InvalidInputError(f"{name}: {value} rad must be positive")
+        if not self.sigma_sensor > 0:
+            raise InvalidInputError(f"sigma_sensor: {self.sigma_sensor} rad must be positive")
 
 
 class InertialGuidedIK:
@@ -169,13 +164,6 @@ class InertialGuidedIK:
         if len(children) == 1:
             R_observed = self._swung(joint, p, R_imu)  # the sensor's twist
         s = self.settings
-        if s.blend_angle is not None:
-            weight = 1 / (1 + (so3.angle_between(R_observed, R_imu) / s.blend_angle) ** 2)
-            observed = R_observed
-            if len(children) == 1:  # only the bone's direction was observed
-                unit = so3.unit(self.skeleton.joint_offsets[children[0]])
-                observed = np.einsum("ti,j->tij", R_observed @ unit, unit)
-            return so3.nearest_rotation(observed + weight[:, None, None] * R_imu)
         if s.threshold is not None:
             beyond = so3.angle_between(R_observed, R_imu) > s.threshold
             return np.where(beyond[:, None, None], R_imu, R_observed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, Final, Literal, get_args
 
-from rtof_kin.core.choices import BACKENDS, Backend, Compile
+from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import InvalidInputError
 
 _OPTIONAL: Final = ("sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root", "acceleration_cutoff_hz")
@@ -44,9 +44,6 @@ class JointSpaceSettings:
     robust_reprojection: float = 2.0
     """[1] Residual where the loss of a landmark turns from square to linear, in units of sigma without the correlation
     factor."""
-    landmark_places: bool = False
-    """Whether the places of a detector's points in the person's segments are estimated, for which the recording is
-    solved twice. On simulated recordings of 3 to 23 s this gains nothing."""
     sigma_swing: float = math.radians(5.0)
     """[rad] of a sensor's segment about axes across its bone."""
     sigma_twist: float = math.radians(20.0)
@@ -102,15 +99,12 @@ class JointSpaceSettings:
     """Iterations after the annealing."""
     tolerance: float = 1e-4
     """[1] Relative decrease of the energy below which a fragment is solved."""
-    backend: Backend = "realtime"
-    """'realtime' (Levenberg-Marquardt on the banded system) or 'ipopt'."""
     compile: Compile = "auto"
     """'auto': compile the energy where a C compiler exists and cache it. 'never': interpret it."""
 
     def __post_init__(self) -> None:
-        for field, values in {"backend": BACKENDS, "compile": get_args(Compile)}.items():
-            if getattr(self, field) not in values:
-                raise InvalidInputError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
+        if self.compile not in get_args(Compile):
+            raise InvalidInputError(f"compile: {self.compile!r} is none of {', '.join(get_args(Compile))}")
         low, high = self.sigma_reprojection_range
         if not 0 < low <= high < math.inf:
             raise InvalidInputError("sigma_reprojection_range must be positive, the smaller one first")
@@ -133,12 +127,11 @@ class JointSpaceSettings:
 
 
 JerkTarget = Literal["zero", "sensor"]
-BoneLengths = Literal["weighted", "constraint", "free"]
+BoneLengths = Literal["weighted", "free"]
 PositionPrior = Literal["bones", "positions"]
 Blend = Literal["tapered", "average"]
 Padding = Literal["masked", "replicate"]
 _CHOICES: Final[dict[str, tuple[Any, ...]]] = {
-    "backend": BACKENDS,
     "jerk_target": get_args(JerkTarget),
     "bone_lengths": get_args(BoneLengths),
     "prior": get_args(PositionPrior),
@@ -194,18 +187,15 @@ class CartesianSettings:
     sigma_prior_bone: float = 0.04
     """[m] of a bone vector."""
     bone_lengths: BoneLengths = "weighted"
-    """'weighted' by sigma_length, 'constraint' (equalities in every fragment; blending changes lengths by about a
-    millimetre), or 'free' (as printed)."""
+    """'weighted' by sigma_length, or 'free' (as printed)."""
     blend: Blend = "tapered"
     """'tapered' weights of overlapping fragments, or 'average' (the paper's mean)."""
     padding: Padding = "masked"
     """'masked': frames beyond the ends have no observations; 'replicate': the paper's copies."""
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
-    backend: Backend = "ipopt"
-    """'ipopt', or 'realtime' for energies without constraints (Levenberg-Marquardt on a banded Hessian)."""
     tolerance: float = 1e-6
-    """IPOPT's tolerance on the scaled gradient; with 'realtime', 1e4 times the relative decrease."""
+    """IPOPT's tolerance on the scaled gradient."""
     max_iterations: int = 60
 
     def __post_init__(self) -> None:
@@ -227,7 +217,7 @@ class CartesianSettings:
             raise InvalidInputError("tolerance must be positive and max_iterations not negative")
 
     @classmethod
-    def paper(cls, backend: Backend = "ipopt") -> CartesianSettings:
+    def paper(cls) -> CartesianSettings:
         """Return the energy as printed, with the weak prior that gives it a minimiser."""
         return cls(
             k_V=0.9,
@@ -242,7 +232,6 @@ class CartesianSettings:
             prior="positions",
             blend="average",
             padding="replicate",
-            backend=backend,
         )
 
     def term_weights(self) -> dict[str, float]:

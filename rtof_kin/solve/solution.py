@@ -58,9 +58,8 @@ class FragmentReport:
     iterations: int
     seconds: float  #: Time of the solver
     sigma_reprojection: float  #: Standard deviation of a landmark, given or estimated from the fragment, px
-    optimality: float  #: Largest derivative of the energy, or with constraints of the Lagrangian, 1/m or 1/rad
-    infeasibility: float
-    """Largest violation of a constraint: of a squared bone length, m^2, or of a joint's limit, rad."""
+    optimality: float  #: Largest derivative of the energy, or with limits of the Lagrangian, 1/m or 1/rad
+    infeasibility: float  #: Largest violation of a joint's limit, rad
 
     @property
     def sees_enough(self) -> bool:

@@ -7,7 +7,7 @@ the colour of the prior where its direction was not observed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,21 +156,14 @@ def with_joints_of(poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence
 
 
 def _reordered(poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
-    T, J = len(poses), len(skeleton.names)
-    p, R = np.full((T, J, 3), np.nan), np.full((T, J, 3, 3), np.nan)
-    provenance, flags = np.zeros((T, J), dtype=np.uint8), np.zeros((3, T, J), dtype=np.bool_)
-    for j, name in enumerate(skeleton.names):
-        if name in poses.names:
-            i = poses.names.index(name)
-            p[:, j], R[:, j] = poses.p_world_joint[:, i], poses.R_world_bone[:, i]
-            provenance[:, j] = poses.provenance[:, i]
-            for flag, given in zip(flags, _flags(poses), strict=True):
-                flag[:, j] = given[:, i]
-    return PoseSequence(poses.times, p, R, skeleton.names, provenance, *flags)
+    own = [poses.names.index(name) if name in poses.names else -1 for name in skeleton.names]  # -1: what is added
 
+    def of_skeleton(values: NDArray[Any], missing: float = 0) -> NDArray[Any]:
+        return np.concatenate([values, np.full_like(values[:, :1], missing)], axis=1)[:, own]
 
-def _flags(poses: PoseSequence) -> tuple[Mask, Mask, Mask]:
-    return poses.valid, poses.orientation_observed, poses.direction_observed
+    p, R = of_skeleton(poses.p_world_joint, np.nan), of_skeleton(poses.R_world_bone, np.nan)
+    flags = map(of_skeleton, (poses.provenance, poses.valid, poses.orientation_observed, poses.direction_observed))
+    return PoseSequence(poses.times, p, R, skeleton.names, *flags)
 
 
 def ellipsoids(covariance: Array, finite: Mask) -> Ellipsoids:

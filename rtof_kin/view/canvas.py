@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,21 +65,6 @@ class Box:
     def bottom(self) -> int:
         """First row below it."""
         return self.top + self.height
-
-    def overlaps(self, other: Box) -> bool:
-        """Return whether two boxes share a pixel."""
-        return (
-            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
-        )
-
-    def inside(self, other: Box) -> bool:
-        """Return whether no pixel lies outside another box."""
-        return (
-            self.left >= other.left
-            and self.top >= other.top
-            and self.right <= other.right
-            and self.bottom <= other.bottom
-        )
 
 
 class Canvas:
@@ -245,60 +230,52 @@ class LabelLayout:
     ) -> dict[str, Box]:
         """Return a box for each label; a label for which there is no room is left out.
 
+        It covers the fewest points and is nearest to its own; the last one stays while it covers few.
+
         `avoided`: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
         """
         used = list(taken)
         out: dict[str, Box] = {}
         for label in labels:
+            last = self._last.get(label.name)
+            offsets = list(_offsets(label, last))
+            dx, dy = np.array(offsets).T
+            left = np.clip(round(label.x) + dx, picture.left, picture.right - label.width)
+            top = round(label.y) + dy
+            sides = _Sides(left, top, left + label.width, top + label.height)
+            free = (sides.left >= picture.left) & (top >= picture.top) & (sides.bottom <= picture.bottom)
+            for box in used:
+                apart = (sides.left >= box.right) | (sides.right <= box.left)
+                free &= apart | (sides.top >= box.bottom) | (sides.bottom <= box.top)
+            if not free.any():
+                continue
+            # Nearer to the point of another it seems to be that one's label; the last one only where that is clear
             others = np.array([(one.x, one.y) for one in labels if one is not label]).reshape(-1, 2)
-            found = self._best(label, picture, avoided, used, others)
-            if found is not None:
-                self._last[label.name], out[label.name] = found
-                used.append(found[1])
+            own = sides.distance(np.array([[label.x, label.y]]))
+            kept = np.array([offset == last for offset in offsets])
+            mistaken = (sides.distance(others) < np.where(kept, 0.5, 1.0)[:, None] * own).any(axis=1)
+            covered = (sides.distance(avoided) == 0).sum(axis=1) + _MISTAKEN * mistaken
+            covered[kept & (covered <= _TOLERATED)] = 0
+            best = int(np.argmin(np.where(free, covered, len(avoided) + _MISTAKEN + 1)))
+            self._last[label.name] = offsets[best]
+            out[label.name] = Box(int(left[best]), int(top[best]), label.width, label.height)
+            used.append(out[label.name])
         return out
 
-    def _best(
-        self, label: Label, picture: Box, avoided: Array, used: Sequence[Box], others: Array
-    ) -> tuple[Offset, Box] | None:
-        """Return the place of a label that covers the fewest points and is nearest to its own; the last one
-        while it covers few.
-        """
-        last = self._last.get(label.name)
-        best: tuple[Offset, Box] | None = None
-        fewest = len(avoided) + _MISTAKEN + 1
-        for offset in _offsets(label, last):
-            left = min(max(round(label.x) + offset[0], picture.left), picture.right - label.width)
-            box = Box(left, round(label.y) + offset[1], label.width, label.height)
-            if not box.inside(picture) or any(map(box.overlaps, used)):
-                continue
-            covered = _covered(box, avoided) + _MISTAKEN * _mistaken(label, box, others, offset == last)
-            if covered == 0 or (offset == last and covered <= _TOLERATED):
-                return offset, box
-            if covered < fewest:
-                best, fewest = (offset, box), covered
-        return best
 
+class _Sides(NamedTuple):
+    """Sides (n,) px of n boxes."""
 
-def _covered(box: Box, points: Array) -> int:
-    """Return the number of points (n, 2) in a box; NaN is in none."""
-    u, v = points.T
-    inside = (u >= box.left) & (u < box.right) & (v >= box.top) & (v < box.bottom)
-    return int(np.count_nonzero(inside))
+    left: NDArray[np.int_]
+    top: NDArray[np.int_]
+    right: NDArray[np.int_]
+    bottom: NDArray[np.int_]
 
-
-def _mistaken(label: Label, box: Box, others: Array, kept: bool) -> bool:
-    """Return whether a label seems to be that of another point (n, 2); if kept, only where this is clear."""
-    own = _distance(box, np.array([[label.x, label.y]]))[0]
-    return bool((_distance(box, others) < (0.5 if kept else 1.0) * own).any())
-
-
-def _distance(box: Box, points: Array) -> Array:
-    """Return the distances (n,) px of points (n, 2) from a box; 0 inside."""
-    u, v = points.T
-    across = np.maximum(np.maximum(box.left - u, u - box.right), 0.0)
-    down = np.maximum(np.maximum(box.top - v, v - box.bottom), 0.0)
-    out: Array = np.hypot(across, down)
-    return out
+    def distance(self, points: Array) -> Array:
+        """Return the distances (n, m) px of points (m, 2) from the boxes; 0 inside, NaN of unknown points."""
+        (u, v), sides = points.T, [side[:, None] for side in self]
+        across = np.maximum(np.maximum(sides[0] - u, u - sides[2]), 0.0)
+        return np.asarray(np.hypot(across, np.maximum(np.maximum(sides[1] - v, v - sides[3]), 0.0)))
 
 
 def _offsets(label: Label, last: Offset | None) -> Iterator[Offset]:

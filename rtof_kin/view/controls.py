@@ -11,13 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.view.legend import Verdict, legend_html, sentences_html, verdict_html
-from rtof_kin.view.motion_scene import Layer, MotionScene
+from rtof_kin.view.motion_scene import ELLIPSOIDS, IMAGE, MotionScene
 
 SPEEDS: Final = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 """Speeds relative to real time, by label."""
 _RELATIVE, _WORLD = "relative to the root", "in world"
 _SLIDER_STEP: Final = 0.001  # [s]
-_HIDDEN: Final = (Layer.CONFIDENCE,)  # Layers that are hidden at the start
 
 
 class Playback:
@@ -142,15 +141,13 @@ class Controls:
         repeat.on_update(lambda _: setattr(playback, "repeat", repeat.value))
 
     def _add_layers(self, gui: Any) -> None:
-        for layer in self._scene.layers:
-            if layer is Layer.IMAGE and not self._images:
+        for label, set_visible in self._scene.layers.items():
+            if label == IMAGE and not self._images:
                 continue
-            shown = layer not in _HIDDEN
-            box = gui.add_checkbox(layer.value, shown)
-            if not shown:
-                self._scene.set_visible(layer, False)
-            box.on_update(lambda event, layer=layer: self._scene.set_visible(layer, event.target.value))
-        if Layer.CONFIDENCE in self._scene.layers:
+            box = gui.add_checkbox(label, label != ELLIPSOIDS)
+            set_visible(label != ELLIPSOIDS)
+            box.on_update(lambda event, set_visible=set_visible: set_visible(event.target.value))
+        if ELLIPSOIDS in self._scene.layers:
             kind = gui.add_dropdown("ellipsoids", (_RELATIVE, _WORLD))
             kind.on_update(lambda _: self._choose_ellipsoids(kind.value == _RELATIVE))
         if self._scene.truth is not None or self._scene.second is not None:
@@ -158,9 +155,8 @@ class Controls:
             beside.on_update(lambda _: self._scene.put_beside(beside.value))
 
     def _add_views(self, gui: Any) -> None:
-        follow = gui.add_checkbox("follow the person", self._scene.stage.following)
-        self._follow = follow
-        follow.on_update(lambda _: self._set_following(follow.value))
+        self._follow = gui.add_checkbox("follow the person", self._scene.stage.following)
+        self._follow.on_update(lambda _: self._set_following(self._follow.value))
         for number, _ in enumerate(self._scene.cameras):
             label = "look through the camera" + (f" {number + 1}" if len(self._scene.cameras) > 1 else "")
             button = gui.add_button(label)
@@ -215,32 +211,23 @@ class Controls:
         `client`: of viser; None for all of them.
         """
         layer = self._scene.cameras[number]
-        self._follow.value = False
-        self._set_following(False)
-        self._scene.behind = number
         R = layer.R_world_camera
-        for one in self._clients(client):
-            with one.atomic():
-                one.camera.up_direction = -R[:, 1]
-                one.camera.position = layer.center
-                one.camera.look_at = layer.center + R[:, 2]
-                one.camera.fov = layer.vertical_view
+        self._look(client, number, -R[:, 1], layer.center, layer.center + R[:, 2], layer.vertical_view)
 
     def look_freely(self, client: Any) -> None:
         """Return to the first view. `client`: of viser; None for all of them."""
-        self._scene.behind = None
-        self._follow.value = True
-        self._set_following(True)
         first = self._server.initial_camera
-        for one in self._clients(client):
-            with one.atomic():
-                one.camera.up_direction = (0.0, 0.0, 1.0)
-                one.camera.position = first.position
-                one.camera.look_at = first.look_at
-                one.camera.fov = first.fov
+        self._look(client, None, (0.0, 0.0, 1.0), first.position, first.look_at, first.fov)
 
-    def _clients(self, client: Any) -> list[Any]:
-        return [client] if client is not None else list(self._server.get_clients().values())
+    def _look(self, client: Any, behind: int | None, up: Any, position: Any, look_at: Any, fov: float) -> None:
+        """Put the view of a browser, or of all, somewhere. `behind`: camera whose image is behind the person."""
+        self._scene.behind = behind
+        self._follow.value = behind is None
+        self._set_following(behind is None)
+        for one in [client] if client is not None else list(self._server.get_clients().values()):
+            with one.atomic():
+                one.camera.up_direction, one.camera.position = up, position
+                one.camera.look_at, one.camera.fov = look_at, fov
 
 
 def _down(seconds: float) -> float:

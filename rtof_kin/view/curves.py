@@ -20,7 +20,6 @@ from rtof_kin.view.legend import curves_html
 
 WHOLE_S: Final = 300.0  #: [s] Longest motion whose angles are computed at once, as by `analyse`
 _PART_S: Final = 60.0
-_MOVES: Final = np.radians(1.0)  # [rad] Range of a hinge beyond which constant other angles are seen to be fixed
 _MARGIN_S: Final = 8.0  # [s] before and after a part, so that a window of it is whole
 WINDOW: Final = 5.0  #: [s] shown before and after the cursor
 COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))  #: RGB of the curves (Okabe and Ito, 2008)
@@ -40,7 +39,7 @@ class AngleBlocks:
     """Angles by name, computed for the whole motion or for parts of it.
 
     Of a hinge of the model the other two angles are constant, which shows only while it moves: of a motion in
-    parts they are left out until a part has shown that they vary.
+    parts they are left out.
 
     Attributes:
         names: of the angles. labels: the same with spaces. in_parts: whether the motion is too long to be
@@ -52,8 +51,8 @@ class AngleBlocks:
         table = angle_table(motion.skeleton.table)
         self.names = tuple(row.name for row in table.rows)
         self.labels = tuple(row.label for row in table.rows)
-        self._hinges = [3 * number for number, joint in enumerate(table.joints) if joint.hinge]
-        self._doubtful = {first + k for first in self._hinges for k in (1, 2)}
+        hinges = [3 * number for number, joint in enumerate(table.joints) if joint.hinge]
+        self._constant = [first + k for first in hinges for k in (1, 2)]
         self.in_parts = motion.times[-1] - motion.times[0] > WHOLE_S
         size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
         self._blocks = BlockCache(len(motion), self._compute, max(size, 1))
@@ -65,11 +64,7 @@ class AngleBlocks:
             RtofError: the motion cannot be read.
         """
         found = self._blocks.at(frame, seconds)
-        if found is None or not self.in_parts:
-            return None if found is None else found[0]
-        values = found[0].values.copy()
-        values[:, sorted(self._doubtful)] = np.nan
-        return replace(found[0], values=values)
+        return None if found is None else found[0]
 
     def close(self) -> None:
         """Stop computing."""
@@ -78,11 +73,10 @@ class AngleBlocks:
     def _compute(self, start: int, stop: int) -> ClinicalAngles:
         margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
         found = clinical_angles(self._motion.read(max(start - margin, 0), min(stop + margin, len(self._motion))))
-        for first in self._hinges:
-            values = found.values[:, first : first + 3]
-            known = np.isfinite(values[:, 0])
-            if known.any() and np.ptp(values[known, 0]) > _MOVES:
-                self._doubtful -= {first + k for k in (1, 2) if np.isfinite(values[:, k]).any()}
+        if self.in_parts:
+            values = found.values.copy()
+            values[:, self._constant] = np.nan
+            found = replace(found, values=values)
         return found
 
 

@@ -34,7 +34,7 @@ from rtof_kin.view.film_files import (
 )
 from rtof_kin.view.legend import Verdict, read_verdict
 from rtof_kin.view.overlay_settings import OverlaySettings
-from rtof_kin.view.painter import CaptionTexts, Painter, angle_labels
+from rtof_kin.view.painter import Painter
 from rtof_kin.view.projected_motion import PictureView, ProjectedMotion, ScaledView, virtual_view
 
 Progress = Callable[[str, int, int], None]
@@ -126,7 +126,8 @@ def write_overlay(
     scale = size[0] / source.size[0] * scale_of(source.size, chosen)
     times = chosen.video_times if isinstance(source, VideoSource) else result.motion.times
     scaled = ScaledView(chosen, scale, *size, times)
-    painter = _painter(result, scaled, settings)
+    title = _title(result) if settings.title is None else " ".join(settings.title.split())
+    painter = Painter(ProjectedMotion(result.motion, scaled), title, result.measurements.faults, settings)
     with new_file(output, overwrite) as file:
         rate = source.rate_hz
         writer: FilmWriter = GifWriter(file, rate) if gif else Mp4Writer(file, size, rate)
@@ -160,18 +161,6 @@ def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureVi
             "so where the motion is in the video is unknown; say --no-video"
         )
     return view
-
-
-def _painter(result: ResultFiles, view: ScaledView, settings: OverlaySettings) -> Painter:
-    projected = ProjectedMotion(result.motion, view)
-    texts = CaptionTexts(
-        title=_title(result) if settings.title is None else " ".join(settings.title.split()),
-        faults=result.measurements.faults,
-        provenances=projected.provenances,
-        detected=settings.points,
-        bands=settings.bands and result.motion.confidence is not None,
-    )
-    return Painter(projected, angle_labels(result.motion, settings.angles), texts, settings)
 
 
 def _title(result: ResultFiles) -> str:

@@ -37,7 +37,6 @@ MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
-    "mpeg4": {},
 }
 """Options of the encoders that are tried, the best first."""
 _TICKS: Final = 90_000  # Ticks per second of time stamps
@@ -176,7 +175,7 @@ def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[s
 
 
 class Mp4Writer:
-    """An MP4 of H.264, or of what this PyAV can encode; pictures keep their time stamps."""
+    """An MP4 of H.264; pictures keep their time stamps."""
 
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         self._av = optional("av", "view")
@@ -200,9 +199,6 @@ class Mp4Writer:
         context = stream.codec_context
         context.time_base = stream.time_base = Fraction(1, _TICKS)
         context.max_b_frames = 0  # the first time stamp stays 0
-        if self.encoder == "mpeg4":
-            stream.bit_rate = int(width * height * self._rate * 0.15)
-            context.time_base = stream.time_base = Fraction(1, 60_000)  # MPEG-4 allows 65,535 at most
         context.colorspace = context.color_primaries = context.color_trc = _BT709
         context.color_range = 1  # 16 to 235
         self._stream = stream

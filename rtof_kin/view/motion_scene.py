@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from enum import Enum
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -34,6 +35,14 @@ _PATH_S: Final = 60.0  # [s] of the root's path before and after the frame
 _PATH_BLOCK_S: Final = 30.0
 _PATH_POINTS: Final = 1500
 _SAME_TIME: Final = 0.05  # [s] By which times of two motions may differ for one frame
+ELLIPSOIDS, IMAGE = "95 % ellipsoids", "video frame"  #: Labels of layers
+_CAMERA_PARTS: Final = {
+    "cameras": "frustum",
+    IMAGE: "image",
+    "detected points": "detected",
+    "reprojected joints": "reprojected",
+}
+"""Label of a layer -> part of `CameraLayer`."""
 _BEHIND: Final = 1.25, 0.8  # Depth of the image behind the person: relative to the person's distance, and added, m
 
 
@@ -46,23 +55,16 @@ class Stage:
         sideways: (3,) unit vector to the right in the first view.
     """
 
-    def __init__(
-        self,
-        server: Any,
-        poses: PoseSequence | None,
-        skeleton: SkeletonModel | None = None,
-        measurements: Measurements | None = None,
-        floor: float | None = None,
-    ):
-        """Add floor and axes, and choose the first view.
+    def __init__(self, server: Any, poses: PoseSequence, skeleton: SkeletonModel, measurements: Measurements | None):
+        """Add floor and axes, and choose the first view. `poses`: first frames of the motion.
 
-        `poses`: first frames of the motion. `floor`: height of the floor, m; default: that of the measurements, else
-        the lowest point of the first frames.
+        The floor is that of the measurements, else at the lowest point of the first frames.
         """
         self._server = server
-        given = floor if measurements is None or floor is not None else measurements.floor_height
+        given = None if measurements is None else measurements.floor_height
         self.measured = given is not None
-        self.height = given if given is not None else _lowest(poses, skeleton)
+        points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)[..., 2]
+        self.height = given if given is not None else float(np.nanmin(points)) if np.isfinite(points).any() else 0.0
         scene = server.scene
         self.world = scene.add_frame(WORLD, show_axes=False)
         self.floor = scene.add_grid(
@@ -78,15 +80,24 @@ class Stage:
         )
         scene.add_frame(f"{WORLD}/origin", axes_length=0.25, axes_radius=0.006, position=(0.0, 0.0, self.height))
         scene.world_axes.visible = False
-        _light(scene)
+        # Light from above and the sides, without maps and shadows, which weak machines cannot draw
+        scene.configure_environment_map(hdri=None)
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere(
+            "/lights/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.5
+        )
+        for number, intensity, place in ((1, 1.5, (3.0, -2.0, 6.0)), (2, 0.5, (-4.0, 3.0, 4.0))):
+            scene.add_light_directional(
+                f"/lights/lamp {number}", intensity=intensity, position=place, cast_shadow=False
+            )
         self.following = True
         self._at = np.zeros(3)
-        self.first_view(poses, measurements)
+        self._first_view(poses, measurements)
 
-    def first_view(self, poses: PoseSequence | None, measurements: Measurements | None) -> None:
+    def _first_view(self, poses: PoseSequence, measurements: Measurements | None) -> None:
         """Look at the person from the side of the camera, or of the face."""
-        direction, distance = -_ASIDE, _DISTANCE
-        if poses is not None and np.isfinite(poses.p_world_joint[0, 0]).all():
+        direction = -_ASIDE
+        if np.isfinite(poses.p_world_joint[0, 0]).all():
             self.follow(poses.p_world_joint[0, 0])
             if np.isfinite(poses.R_world_bone[0, 0]).all():
                 direction += float(so3.heading(poses.R_world_bone[0, 0]))
@@ -94,12 +105,9 @@ class Stage:
                 away = measurements.views[0].camera.center_world - poses.p_world_joint[0, 0]
                 direction = float(np.arctan2(away[1], away[0])) - _ASIDE
         camera = self._server.initial_camera
-        middle = np.array([0.0, 0.0, self.height + _MIDDLE])
         camera.fov = _VIEW
-        camera.position = distance * np.array([np.cos(direction), np.sin(direction), 0.0]) + np.array(
-            [0.0, 0.0, self.height + _HIGH]
-        )
-        camera.look_at = middle
+        camera.position = np.array([_DISTANCE * np.cos(direction), _DISTANCE * np.sin(direction), self.height + _HIGH])
+        camera.look_at = np.array([0.0, 0.0, self.height + _MIDDLE])
         self.sideways = np.array([-np.sin(direction), np.cos(direction), 0.0])
 
     def follow(self, p_root: Array) -> None:
@@ -112,42 +120,6 @@ class Stage:
         elif np.isfinite(p_root).all():
             self._at = np.array([-p_root[0], -p_root[1], 0.0])
         self.world.position = self._at
-
-
-def _light(scene: Any) -> None:
-    """Light the scene from above and the sides, without maps and shadows, which weak machines cannot draw."""
-    scene.configure_environment_map(hdri=None)
-    scene.configure_default_lights(enabled=False)
-    scene.add_light_hemisphere("/lights/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.5)
-    for number, place in enumerate(((3.0, -2.0, 6.0), (-4.0, 3.0, 4.0))):
-        scene.add_light_directional(
-            f"/lights/lamp {number + 1}", intensity=(1.5, 0.5)[number], position=place, cast_shadow=False
-        )
-
-
-def _lowest(poses: PoseSequence | None, skeleton: SkeletonModel | None) -> float:
-    """Return the lowest point of a motion, m; 0 if it has none."""
-    if poses is None or skeleton is None:
-        return 0.0
-    points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
-    return float(np.nanmin(points[..., 2])) if np.isfinite(points).any() else 0.0
-
-
-class Layer(Enum):
-    """Part of the scene that can be hidden, by its label."""
-
-    SEGMENTS = "segments"
-    AXES = "joint axes"
-    CONFIDENCE = "95 % ellipsoids"
-    SENSORS = "sensors"
-    CAMERAS = "cameras"
-    IMAGE = "video frame"
-    DETECTED = "detected points"
-    REPROJECTED = "reprojected joints"
-    PATH = "root path"
-    FLOOR = "floor"
-    TRUTH = "truth"
-    SECOND = "second motion"
 
 
 @dataclass(frozen=True)
@@ -166,7 +138,8 @@ class MotionScene:
     """Scene of a motion; `show` is called by one thread.
 
     Attributes:
-        layers: parts that this scene has. cameras: in it. person: the motion.
+        layers: parts that can be hidden: label -> function that shows (True) or hides them.
+        cameras: in it. person: the motion.
     """
 
     def __init__(
@@ -199,7 +172,7 @@ class MotionScene:
             self._add_measurements(given)
         if second is not None:
             self.second = Companion(server, "/world/second motion", second.skeleton, SECOND)
-        self.layers = self._handles(start.confidence is not None)
+        self.layers = self._layers()
         self.behind: int | None = None
         """Camera through which one looks: its image is behind the person."""
         self._blocks = BlockCache(len(motion), self._compute)
@@ -229,21 +202,6 @@ class MotionScene:
             self.stage.follow(block.motion.p_root[i])
         self._server.flush()  # else two frames may wait for each other
         return block
-
-    def set_visible(self, layer: Layer, visible: bool) -> None:
-        """Show or hide a layer. `layer`: of `layers`."""
-        part = {
-            Layer.CAMERAS: "frustum",
-            Layer.IMAGE: "image",
-            Layer.DETECTED: "detected",
-            Layer.REPROJECTED: "reprojected",
-        }.get(layer)
-        with self._server.atomic():
-            for handle in self.layers[layer]:
-                if part is None:
-                    handle.visible = visible
-                else:
-                    handle.set_visible(part, visible)
 
     def put_beside(self, distance: float) -> None:
         """Put the truth and the second motion beside the motion, at its left and right as the viewer sees.
@@ -276,25 +234,32 @@ class MotionScene:
         if given.truth is not None:
             self.truth = Companion(self._server, "/world/truth", self._motion.skeleton, TRUTH)
 
-    def _handles(self, confidence: bool) -> dict[Layer, list[Any]]:
-        person = self.person
-        out: dict[Layer, list[Any]] = {
-            Layer.SEGMENTS: [person.body.handle],
-            Layer.AXES: [person.axes],
-            Layer.PATH: [self._path.handle],
-            Layer.FLOOR: [self.stage.floor],
+    def _layers(self) -> dict[str, Callable[[bool], None]]:
+        handles: dict[str, list[Any]] = {
+            "segments": [self.person.body.handle],
+            "joint axes": [self.person.axes],
+            ELLIPSOIDS: [self.person.ellipsoids],
+            "sensors": [] if self.sensors is None else [self.sensors.boxes, self.sensors.axes],
+            "root path": [self._path.handle],
+            "floor": [self.stage.floor],
+            "truth": [] if self.truth is None else [self.truth.body.handle],
+            "second motion": [] if self.second is None else [self.second.body.handle],
         }
-        if confidence and person.ellipsoids is not None:
-            out[Layer.CONFIDENCE] = [person.ellipsoids]
-        if self.sensors is not None:
-            out[Layer.SENSORS] = [self.sensors.boxes, self.sensors.axes]
+        out: dict[str, Callable[[bool], None]]
+        out = {label: partial(self._show_handles, own) for label, own in handles.items() if own and own[0] is not None}
         if self.cameras:
-            parts = (Layer.CAMERAS, Layer.IMAGE, Layer.DETECTED, Layer.REPROJECTED)
-            out |= {layer: list(self.cameras) for layer in parts}
-        for layer, companion in ((Layer.TRUTH, self.truth), (Layer.SECOND, self.second)):
-            if companion is not None:
-                out[layer] = [companion.body.handle]
+            out |= {label: partial(self._show_part, part) for label, part in _CAMERA_PARTS.items()}
         return out
+
+    def _show_handles(self, handles: Sequence[Any], visible: bool) -> None:
+        with self._server.atomic():
+            for handle in handles:
+                handle.visible = visible
+
+    def _show_part(self, part: str, visible: bool) -> None:
+        with self._server.atomic():
+            for camera in self.cameras:
+                camera.set_visible(part, visible)
 
     def _depth(self, camera: int, p_root: Array) -> float:
         if camera != self.behind or not np.isfinite(p_root).all():

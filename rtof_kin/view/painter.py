@@ -127,27 +127,25 @@ def draw_skeleton(
         canvas.disc(uv, style.stroke(colours[i], right[i], 1.7 * style.bone))
 
 
-@dataclass(frozen=True)
-class CaptionTexts:
-    """What captions say in all pictures of a film."""
-
-    title: str  #: One line beside the time
-    faults: tuple[StreamFault, ...] = ()  #: Shown while they last
-    provenances: tuple[Provenance, ...] = ()  #: For the legend
-    detected: bool = False  #: Whether detected points are drawn
-    bands: bool = False  #: Whether 95 % ellipses are drawn
-
-
 class Captions:
-    """Captions above and below the pictures of a film."""
+    """Captions above and below the pictures of a film.
 
-    def __init__(self, texts: CaptionTexts, width_px: int, height_px: int):
-        self._texts, self._width, self._height = texts, width_px, height_px
+    `title`: one line beside the time. `faults`: shown while they last.
+    """
+
+    def __init__(
+        self, projected: ProjectedMotion, title: str, faults: Sequence[StreamFault], settings: OverlaySettings
+    ):
+        self._title, self._faults = title, faults
+        self._width, self._height = width_px, height_px = (
+            projected.view.camera.width_px,
+            projected.view.camera.height_px,
+        )
         self._style = Style(width_px, height_px)
         self.lettering = Lettering(max(round(_SIZE * float(np.sqrt(width_px * height_px))), _SMALLEST_PX))
         self._pad = max(self.lettering.size_px // 3, 3)
         self._swatch = 2 * self.lettering.size_px
-        self._legend = self._legend_rows()
+        self._legend = self._legend_rows(projected, settings)
 
     def boxes(self, time: float | None) -> tuple[Box, Box]:
         """Return the boxes above and below that captions cover. `time`: s, of the motion; None where there is none."""
@@ -166,7 +164,7 @@ class Captions:
             now, colour = f"{time:.2f} s{'' if seen else ', not observed'}", WHITE
         canvas.stamp(pad, above.top + pad, lettering.mask(now), colour)
         left = 2 * pad + line + lettering.width(now)
-        title = lettering.shortened(self._texts.title, self._width - left - pad)
+        title = lettering.shortened(self._title, self._width - left - pad)
         canvas.stamp(left, above.top + pad, lettering.mask(title), WHITE)
         top = below.top + pad
         for text in self._fault_lines(time):
@@ -192,22 +190,24 @@ class Captions:
         """Return the sentences of the faults at an instant, s."""
         if time is None:
             return []
-        now = [fault for fault in self._texts.faults if fault.start <= time <= fault.stop]
+        now = [fault for fault in self._faults if fault.start <= time <= fault.stop]
         lines = []
         for fault in now[:_FAULTS]:
             text = f"{fault.what}: {fault.kind.value}"
             lines += self.lettering.wrap(text, self._width - 2 * self._pad, _FAULT_LINES)
         return lines + ([f"and {len(now) - _FAULTS} more faults"] if len(now) > _FAULTS else [])
 
-    def _legend_rows(self) -> list[list[tuple[int, str, Stroke | None]]]:
+    def _legend_rows(
+        self, projected: ProjectedMotion, settings: OverlaySettings
+    ) -> list[list[tuple[int, str, Stroke | None]]]:
         """Return rows of entries: left end, px, text, and stroke, None for a detected point."""
-        texts, style = self._texts, self._style
+        style, bands = self._style, settings.bands and projected.motion.confidence is not None
         items: list[tuple[str, Stroke | None]] = [
-            (WORDS[how], style.stroke(COLOURS[how])) for how in sorted(texts.provenances, reverse=True)
+            (WORDS[how], style.stroke(COLOURS[how])) for how in sorted(projected.provenances, reverse=True)
         ]
         items += [("right", style.stroke(_GREY, right=True)), ("left, middle", style.stroke(_GREY))]
-        items += [("detected point", None)] if texts.detected else []
-        items += [("95 % of the joint's position", Stroke(WHITE, style.thin))] if texts.bands else []
+        items += [("detected point", None)] if settings.points else []
+        items += [("95 % of the joint's position", Stroke(WHITE, style.thin))] if bands else []
         rows: list[list[tuple[int, str, Stroke | None]]] = [[]]
         left = self._pad
         for text, stroke in items:
@@ -223,10 +223,14 @@ class Captions:
 class Painter:
     """Draws on pictures of one size; labels keep their places from one picture to the next."""
 
-    def __init__(self, projected: ProjectedMotion, angles: AngleLabels, texts: CaptionTexts, settings: OverlaySettings):
-        size = projected.view.camera.width_px, projected.view.camera.height_px
-        self._projected, self._angles, self._settings = projected, angles, settings
-        self._style, self._captions, self._layout = Style(*size), Captions(texts, *size), LabelLayout()
+    def __init__(
+        self, projected: ProjectedMotion, title: str, faults: Sequence[StreamFault], settings: OverlaySettings
+    ):
+        """Take what captions say. `title`: one line beside the time. `faults`: shown while they last."""
+        self._projected, self._settings = projected, settings
+        self._angles = angles = angle_labels(projected.motion, settings.angles)
+        self._captions, self._layout = Captions(projected, title, faults, settings), LabelLayout()
+        self._style = Style(projected.view.camera.width_px, projected.view.camera.height_px)
         self._widths = [self._captions.lettering.width(angles.widest(a)) for a in range(len(angles.names))]
         self._face = FaceFinder(projected) if settings.blur_face else None
 

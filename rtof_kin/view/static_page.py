@@ -17,7 +17,7 @@ from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.view.legend import Verdict, legend_html, verdict_html
-from rtof_kin.view.motion_scene import Layer, MotionScene
+from rtof_kin.view.motion_scene import ELLIPSOIDS, MotionScene
 from rtof_kin.view.viewer import Opened
 
 LARGEST_MB: Final = 50.0  #: [MB] Default limit of the file
@@ -99,8 +99,8 @@ def write_static_page(
     rate = min(rate_hz, files.motion.rate_hz)
     scene = MotionScene(server, files.motion, files.measurements, files.second)
     try:
-        if Layer.CONFIDENCE in scene.layers:
-            scene.set_visible(Layer.CONFIDENCE, False)
+        if ELLIPSOIDS in scene.layers:
+            scene.layers[ELLIPSOIDS](False)
         base, each = _sizes(server, scene, frames)
         most = max(int((largest_mb - base) / each), 0)
         if thin := len(frames) > most:

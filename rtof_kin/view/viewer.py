@@ -1,12 +1,11 @@
-"""`Viewer`: a source in the browser, recorded (`MotionViewer`) or live (`LiveViewer`)."""
+"""`MotionViewer`: a motion of the disk in the browser."""
 
 from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -14,27 +13,20 @@ from typing import Any, Final, Self
 import numpy as np
 
 from rtof_kin.body.motion_file import MotionReader, motion_path
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, measurements_path
-from rtof_kin.view.block_content import block_content
 from rtof_kin.view.blocks import frame_at
 from rtof_kin.view.camera_layer import VideoFrames
 from rtof_kin.view.controls import Controls, Playback
 from rtof_kin.view.curves import AngleBlocks, Curves
-from rtof_kin.view.layers import Person, RootPath
-from rtof_kin.view.legend import PALETTE, Verdict, legend_html, read_verdict, sentences_html
-from rtof_kin.view.live_client import LiveClient
-from rtof_kin.view.motion_scene import MotionScene, Stage
+from rtof_kin.view.legend import Verdict, read_verdict
+from rtof_kin.view.motion_scene import MotionScene
 
 FASTEST: Final = 60.0  #: [Hz] at which frames are sent
 _SLIDER_S: Final = 0.1  # Time between two moves of the slider while playing
 _CURVES_S: Final = 0.125  # Time between two updates of the curves while playing
 _PATIENCE: Final = 20.0  # [s] for the first frame
-_PATH_S: Final = 60.0  # [s] of the root's path
-_PATH_STEP: Final = 0.1  # [s] between two points of it
-_OLD: Final = 1.0  # [s] without an estimate after which the viewer says so
+_OTHER_SHAPE: Final = 0.02  # Largest relative difference of the aspect ratios of a video and its camera
 
 
 @dataclass(frozen=True)
@@ -48,75 +40,28 @@ class Opened:
     notes: tuple[str, ...]  #: What is not shown, and how to get it
 
 
-class MotionFiles:
-    """The files of a viewer; a context that opens and closes them."""
-
-    def __init__(self, motion: str | Path, second: str | Path | None = None):
-        self._path = motion_path(motion)
-        self._second = None if second is None else motion_path(second)
-        self._stack = ExitStack()
-
-    def __enter__(self) -> Opened:
-        with ExitStack() as stack:
-            folder, notes = self._path.parent, []
-            motion = stack.enter_context(MotionReader(self._path))
-            measurements = None
-            if (beside := measurements_path(folder)).is_file():
-                measurements = stack.enter_context(MeasurementsReader(beside))
-            else:
-                notes.append(
-                    f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "
-                    "Reconstruct again to get it."
-                )
-            second = None
-            if self._second is not None:
-                second = stack.enter_context(MotionReader(self._second))
-            self._stack = stack.pop_all()
-            return Opened(motion, measurements, second, read_verdict(folder), tuple(notes))
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
+@contextmanager
+def motion_files(motion: str | Path, second: str | Path | None = None) -> Iterator[Opened]:
+    """Open the files of a viewer and close them at the end. `motion`, `second`: folders or files of motions."""
+    path, notes = motion_path(motion), []
+    with ExitStack() as stack:
+        opened, measurements = stack.enter_context(MotionReader(path)), None
+        if (beside := measurements_path(path.parent)).is_file():
+            measurements = stack.enter_context(MeasurementsReader(beside))
+        else:
+            notes.append(
+                f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "
+                "Reconstruct again to get it."
+            )
+        other = None if second is None else stack.enter_context(MotionReader(motion_path(second)))
+        yield Opened(opened, measurements, other, read_verdict(path.parent), tuple(notes))
 
 
-class Viewer(ABC):
-    """Scene and panel of a source; `run` shows what it has until it is stopped."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def run(self, stop: threading.Event) -> None:
-        """Show the present state, at most 60 times a second, until an event is set.
-
-        Raises:
-            RtofError: a file turned out to be damaged.
-        """
-        step = 1 / FASTEST
-        due = time.monotonic()
-        while not stop.is_set():
-            self.update(time.monotonic())
-            due = max(due + step, time.monotonic() - step)
-            stop.wait(max(due - time.monotonic(), 0.001))
-
-    @abstractmethod
-    def update(self, now: float) -> None:
-        """Show what belongs to this moment, if it is new. `now`: of `time.monotonic`, s.
-
-        Raises:
-            RtofError: a file turned out to be damaged.
-        """
-
-    def close(self) -> None:  # noqa: B027
-        """Stop all threads."""
-
-
-class MotionViewer(Viewer):
+class MotionViewer:
     """A motion in the browser; `run` plays it until it is stopped."""
 
     def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
-        """Build scene and panel, and show the first frame. `server`: of `local_server`. files: of `MotionFiles`.
+        """Build scene and panel, and show the first frame. `server`: of `local_server`. `files`: of `motion_files`.
 
         Raises:
             InvalidInputError: more videos than cameras. RtofError: a file cannot be read.
@@ -144,8 +89,28 @@ class MotionViewer(Viewer):
         self.sent = 0
         """Number of frames that were sent to the browsers."""
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop all threads."""
+        self._closing.close()
+
+    def run(self, stop: threading.Event) -> None:
+        """Show the present frame, at most 60 times a second, until an event is set.
+
+        Raises:
+            RtofError: a file turned out to be damaged.
+        """
+        step = 1 / FASTEST
+        due = time.monotonic()
+        while not stop.is_set():
+            self.update(time.monotonic())
+            due = max(due + step, time.monotonic() - step)
+            stop.wait(max(due - time.monotonic(), 0.001))
+
     def update(self, now: float) -> None:
-        """Show the frame of this moment, if it is another one."""
+        """Show the frame of a moment, if it is another one. `now`: of `time.monotonic`, s."""
         wanted = self.playback.at(now)
         frame = frame_at(self._files.motion.times, wanted)
         if frame != self.frame or self.controls.changed:
@@ -156,10 +121,6 @@ class MotionViewer(Viewer):
             self.controls.show_time(time_shown)
             self.controls.show_playing()
         self._show_curves(time_shown, now)
-
-    def close(self) -> None:
-        """Stop all threads."""
-        self._closing.close()
 
     # --- what is shown ---------------------------------------------------------------------------
 
@@ -206,84 +167,10 @@ class MotionViewer(Viewer):
         for number, path in enumerate(videos):
             layer = cameras[number]
             found[number] = opened.enter_context(VideoFrames(path, layer.show_image))
-            _check_shape(found[number], layer.camera.width_px / layer.camera.height_px)
+            width, height = found[number].size
+            if abs(width / height * layer.camera.height_px / layer.camera.width_px - 1) > _OTHER_SHAPE:
+                raise InvalidInputError(
+                    f"{path}: its images are {width} x {height} px, of another shape than those of the camera; "
+                    "give the video of this recording"
+                )
         return found
-
-
-def _check_shape(video: VideoFrames, aspect: float) -> None:
-    """Raise `InvalidInputError` unless the images have the shape of the camera's."""
-    width, height = video.size
-    if abs(width / height / aspect - 1) > 0.02:
-        raise InvalidInputError(
-            f"{video.path}: its images are {width} x {height} px, of another shape than those of the camera; "
-            "give the video of this recording"
-        )
-
-
-class LiveViewer(Viewer):
-    """Scene of a live estimator; `run` shows its newest pose until it is stopped.
-
-    Attributes:
-        shown: number of poses that were shown.
-    """
-
-    def __init__(self, server: Any, client: LiveClient):
-        """Build scene and panel. `server`: of `local_server`."""
-        self._server, self._client = server, client
-        self.stage = Stage(server, None, client.skeleton, floor=client.floor)
-        self.person = Person(server, "/world/motion", client.skeleton, confidence=False)
-        self._path = RootPath(server, "/world/motion/root path")
-        self._points: list[tuple[float, Array, int]] = []
-        self.shown, self._last, self._at = 0, -np.inf, time.monotonic()
-        gui = server.gui
-        self.status = gui.add_html(sentences_html([f"live, from {client.url}: waiting for a pose"]))
-        with gui.add_folder("shown"):
-            for label, handle in (
-                ("segments", self.person.body.handle),
-                ("joint axes", self.person.axes),
-                ("root path", self._path.handle),
-                ("floor", self.stage.floor),
-            ):
-                box = gui.add_checkbox(label, True)
-                box.on_update(lambda event, handle=handle: setattr(handle, "visible", event.target.value))
-            follow = gui.add_checkbox("follow the person", True)
-            follow.on_update(lambda _: setattr(self.stage, "following", follow.value))
-        gui.add_html(legend_html())
-
-    def update(self, now: float) -> None:
-        """Show the newest pose, if it is new."""
-        poses, lag = self._client.latest()
-        lines = [f"live, from {self._client.url}"]
-        if poses is None:
-            lines.append("waiting for a pose")
-        else:
-            if (seconds := float(poses.times[0])) != self._last:
-                self._last, self._at = seconds, now
-                self._show(poses)
-            lines.append(f"{seconds:.2f} s" + ("" if lag is None else f", {1000 * lag:.0f} ms old"))
-            if now - self._at > _OLD:
-                lines.append(f"no new pose for {now - self._at:.0f} s: what is shown is old")
-        text = sentences_html([*lines, *self._client.sentences])
-        if text != self.status.content:
-            self.status.content = text
-
-    def _show(self, poses: PoseSequence) -> None:
-        content = block_content(poses, self.person.skeleton, self.person.solids)
-        self.shown += 1
-        with self._server.atomic():
-            self.person.show(content, 0)
-            self._show_path(float(poses.times[0]), content.p_root[0], int(poses.provenance[0, 0]))
-            self.stage.follow(content.p_root[0])
-
-    def _show_path(self, seconds: float, p_root: Array, provenance: int) -> None:
-        points = self._points
-        if points and 0 <= seconds - points[-1][0] < _PATH_STEP:
-            return
-        if points and seconds < points[-1][0]:
-            points.clear()
-        points.append((seconds, p_root, provenance))
-        while seconds - points[0][0] > _PATH_S:
-            points.pop(0)
-        if len(points) > 1:
-            colours = PALETTE[[kind for _, _, kind in points]]
-            self._path.show(np.array([p for _, p, _ in points]), colours)

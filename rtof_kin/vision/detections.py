@@ -21,7 +21,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_csv
-from rtof_kin.formats.channels import POINT_ENDINGS, point_part
+from rtof_kin.formats.channels import POINT_ENDINGS, PointChannels, point_part
 from rtof_kin.formats.markers import read_trc
 from rtof_kin.vision.layouts import detector_table
 
@@ -169,32 +169,24 @@ def read_csv_table(path: Path) -> Detections:
 
 def _of_columns(path: Path, columns: Mapping[str, Array]) -> Detections:
     """Return the detections of a table with columns for each point, of one person."""
-    times = None
-    parts: dict[str, dict[str, Array]] = {}
-    for header, values in columns.items():
-        name = header.strip().lower()
-        if name in TIMES and times is None:
-            times = values * TIMES[name]
-        elif name not in _NO_POINTS:
-            point, part = _meaning(path, header)
-            if part in parts.setdefault(point, {}):
-                raise FileFormatError(path, f"column {header!r}: a second {part} of {point}", 1)
-            parts[point][part] = values
-    points = {name: part for name, part in parts.items() if "x" in part or "y" in part}
-    if not points:
-        raise FileFormatError(path, "no column ends in _x or _y", 1)
-    for name, has in points.items():
-        if not {"x", "y"} <= set(has):
-            other = "y" if "x" in has else "x"
-            raise FileFormatError(path, f"point {name}: has no column of {other}", 1)
-    names = list(points)
-    numbered = _numbers(names)
-    if numbered:
-        names = [name for _, name in sorted(zip(numbered, names, strict=True))]
-    uv = np.stack([[points[n]["x"], points[n]["y"]] for n in names]).transpose(2, 0, 1)
-    seen = np.isfinite(uv).all(axis=-1).astype(float)
-    confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
-    return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
+    labels = [name for name in columns if name.strip().lower() not in (*TIMES, *_NO_POINTS)]
+    for label in labels:
+        if point_part(label) is None:
+            known = f"time, or a point's name and one of {', '.join(POINT_ENDINGS)}"
+            raise FileFormatError(path, f"column {label!r}: expected {known}", 1)
+    try:
+        found = PointChannels.of(path.stem, labels)
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error), 1) from error
+    numbers = _numbers(found.names)
+    order = np.argsort(numbers) if numbers else np.arange(len(found.names))
+    values = np.stack([columns[label] for label in labels], axis=-1)
+    uv = values[:, found.uv[order]]
+    given = found.confidence[order]
+    confidence = np.where(given < 0, np.isfinite(uv).all(axis=-1), values[:, given])
+    stamps = next(((name, unit) for name in columns if (unit := TIMES.get(name.strip().lower()))), None)
+    times = columns[stamps[0]] * stamps[1] if stamps else None
+    return Detections(uv[:, None], confidence[:, None], times, None if numbers else found.names)
 
 
 def _numbers(names: Sequence[str]) -> list[int]:
@@ -208,25 +200,11 @@ def is_keypoint_header(line: str) -> bool:
     """Return whether the first line of a .csv names the columns of detected points."""
     if has_rows(line.strip().split(",")):
         return True
-    parts: dict[str, set[str]] = {}
-    for header in line.split(","):
-        name = header.strip().lower()
-        if name not in TIMES and name not in _NO_POINTS:
-            try:
-                point, part = _meaning(Path(), header)
-            except FileFormatError:
-                return False
-            parts.setdefault(point, set()).add(part)
-    return any({"x", "y"} <= has for has in parts.values())
-
-
-def _meaning(path: Path, header: str) -> tuple[str, str]:
-    """Return the point of a column and its part: x, y, c, or '' if unused."""
-    found = point_part(header)
-    if found is None:
-        known = f"time, or a point's name and one of {', '.join(POINT_ENDINGS)}"
-        raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
-    return found
+    labels = [one for one in line.split(",") if one.strip().lower() not in (*TIMES, *_NO_POINTS)]
+    if None in map(point_part, labels):
+        return False
+    parts = set(map(point_part, labels))
+    return any((point, "y") in parts for point, part in filter(None, parts) if part == "x")
 
 
 def _found(names: Iterable[str]) -> dict[str, str]:

@@ -21,7 +21,6 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
@@ -86,25 +85,17 @@ def _shipped_points(layout: Layout) -> Mapping[str, DetectorPoint]:
 
 
 def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoint]:
-    """Read the points of a layout of the shipped table; `FileFormatError` where the file is not TOML or a field is
-    missing or of the wrong kind, `UnknownNameError` for an unknown layout.
-    """
-    path = Path(path)
+    """Read the points of a layout of the shipped table; `UnknownNameError` for an unknown layout."""
     data, names = load_toml(path), detector_table().layout(layout).points
     places = {point.name: point for point in detector_table().points}
-    try:
-        measured, views = (data.get(key, {}).get(layout, {}) for key in ("measured", "view"))
-        parts = {name: part for part in data["part"] for name in part["points"]}
-        found = dict[str, DetectorPoint]()
-        for name in names:
-            right = name.replace("Left", "Right", 1) if name.startswith("Left") else name
-            if right in parts:
-                point = _point(parts[right], places[right], measured.get(right), views.get(right))
-                found[name] = point if name == right else point.mirrored()
-    except KeyError as error:
-        raise FileFormatError(path, f"the field {error} is missing") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
+    measured, views = (data.get(key, {}).get(layout, {}) for key in ("measured", "view"))
+    parts = {name: part for part in data["part"] for name in part["points"]}
+    found = dict[str, DetectorPoint]()
+    for name in names:
+        right = name.replace("Left", "Right", 1) if name.startswith("Left") else name
+        if right in parts:
+            point = _point(parts[right], places[right], measured.get(right), views.get(right))
+            found[name] = point if name == right else point.mirrored()
     return found
 
 
@@ -119,28 +110,25 @@ def _point(part: Mapping[str, Any], usual: Landmark, measured: Mapping[str, Any]
         moving = usual.joint, (usual.offset - beginnings[anchor]) / leg, usual.joint, np.zeros(3)
     else:
         anchor = measured["anchor"]
-        place, second = (_metres(measured[key], (3,)) for key in ("place_mm", "second_mm"))
+        place, second = (_metres(measured[key]) for key in ("place_mm", "second_mm"))
         moving = measured["frame"], place, measured["second"], second
     frame, place, second_frame, second_place = moving
     return DetectorPoint(
         anchor,
         frame,
         place,
-        float(part["size_mm"]) / 1000,
-        float(part["independent"]),
-        _metres(part["place_sd_mm"], (3,)),
+        part["size_mm"] / 1000,
+        part["independent"],
+        _metres(part["place_sd_mm"]),
         second_frame,
         second_place,
-        np.zeros((HARMONICS, 3)) if view is None else _metres(view, (HARMONICS, 3)),
+        np.zeros((HARMONICS, 3)) if view is None else _metres(view),
     )
 
 
-def _metres(values_mm: Any, shape: tuple[int, ...]) -> Array:
+def _metres(values_mm: Any) -> Array:
     """Millimetres on the measured body as metres on one with a leg of 1 m."""
-    values = np.array(values_mm, dtype=float)
-    if values.shape != shape or not np.isfinite(values).all():
-        raise ValueError(f"{values_mm} is not an array of shape {shape}")
-    return values / 1000 / _LEG
+    return np.array(values_mm) / 1000 / _LEG
 
 
 @dataclass(frozen=True)

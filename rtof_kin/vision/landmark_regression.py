@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.vision.layouts import OWN_LAYOUTS, DetectorTable, Layout, detector_table, own, point_names
@@ -166,20 +165,11 @@ class RegressedLandmarks:
 
 
 class LandmarkRegression:
-    """The regressions of all layouts.
-
-    Args:
-        gaussian: distribution of their points and the skeleton's landmarks.
-
-    Raises:
-        InvalidInputError: the distribution is of other points.
-    """
+    """The regressions of all layouts; `gaussian` is the distribution of their points and the skeleton's landmarks."""
 
     def __init__(self, table: DetectorTable, gaussian: PoseGaussian):
         self.table, self.gaussian = table, gaussian
         self._skeleton = SkeletonModel.default()
-        if gaussian.names != point_names(table, self._skeleton):
-            raise InvalidInputError("landmark regression: fitted to other points than those of its table")
 
     @staticmethod
     def default() -> LandmarkRegression:
@@ -247,7 +237,10 @@ class LandmarkRegression:
 
 @lru_cache(maxsize=4)
 def _default(table: DetectorTable) -> LandmarkRegression:
-    return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))
+    """The regression of the distribution that ``models/build_adapters.py`` fitted to the shipped table's points."""
+    arrays = read_npz(model_path("detectors.npz"))
+    names = point_names(table, SkeletonModel.default())
+    return LandmarkRegression(table, PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"])))
 
 
 def _checked(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:
@@ -270,25 +263,6 @@ def _patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
     for k, row in enumerate(rows):
         if row.sum() >= FEWEST_POINTS:
             yield row, np.flatnonzero(index.ravel() == k)
-
-
-def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
-    """Read the distribution that ``models/build_adapters.py`` fitted to a table's points; `FileFormatError` where there
-    is no such file, or it is damaged or fitted to other points.
-    """
-    arrays = read_npz(Path(path))
-    lacking = {"mean", "covariance", "noise", "offsets"} - set(arrays)
-    if lacking:
-        raise FileFormatError(path, f"no array {', '.join(sorted(lacking))}; build it again")
-    offsets = np.array([point.offset for point in table.points])
-    fitted = arrays["offsets"]
-    if fitted.shape != offsets.shape or not np.allclose(fitted, offsets, atol=1e-9):
-        raise FileFormatError(path, f"fitted to points that differ from those in {table.path}; build it again")
-    names = point_names(table, SkeletonModel.default())
-    try:
-        return PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
-    except InvalidInputError as error:
-        raise FileFormatError(path, f"{error}; build it again") from error
 
 
 _FRAMES = 60  # persons, spread over the recording, that are tested

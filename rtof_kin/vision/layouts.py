@@ -10,14 +10,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.packages import Extensions
 from rtof_kin.core.resources import model_path
@@ -67,7 +66,6 @@ class Layout:
 class DetectorTable:
     """All layouts and the body's points that they consist of."""
 
-    path: Path  #: File of the table
     points: tuple[Landmark, ...]  #: U points in the link frames of the shipped skeleton
     layouts: Mapping[str, Layout]  #: By name; includes the skeleton's own, 'joints' and 'landmarks'
     seen_by: Mapping[str, tuple[str, ...]]
@@ -169,41 +167,19 @@ def _extended(added: tuple[Layout, ...]) -> DetectorTable:
 
 @cache
 def _shipped_table() -> DetectorTable:
-    return read_detector_table(model_path("detectors.toml"))
-
-
-def read_detector_table(path: str | Path) -> DetectorTable:
-    """Read and check a table of detectors' layouts. `FileFormatError`: not TOML, a field missing or of the wrong kind,
-    a duplicate name; `UnknownNameError`: unknown point, or unknown joint or landmark of the shipped skeleton.
-    """
-    path = Path(path)
-    data = load_toml(path)
-    try:
-        points = tuple(point for entry in data["point"] for point in _point(entry))
-        layouts = {e["name"]: _layout(e) for e in data["layout"]} | _own_layouts()
-        table = DetectorTable(path, points, layouts, _seen_by(data["seen_by"]))
-    except KeyError as error:
-        raise FileFormatError(path, f"the field {error} is missing") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
-    _check(table)
-    return table
+    data = load_toml(model_path("detectors.toml"))
+    points = tuple(point for entry in data["point"] for point in _point(entry))
+    layouts = {
+        one["name"]: Layout.of(one["name"], one["title"], one["names"], one.get("points")) for one in data["layout"]
+    }
+    return DetectorTable(points, layouts | _own_layouts(), _seen_by(data["seen_by"]))
 
 
 def _point(entry: Mapping[str, Any]) -> list[Landmark]:
     """Return a point and, if it has a side, its mirror image."""
-    name, joint = str(entry["name"]), str(entry["joint"])
-    offset = np.array(entry["offset_mm"], dtype=float) / 1000
-    if offset.shape != (3,) or not np.all(np.isfinite(offset)):
-        raise ValueError(f"{entry['offset_mm']} is no point x, y, z")
-    point = Landmark(name, joint, offset)
-    if mirrored(name) == name:
-        return [point]
-    return [point, Landmark(mirrored(name), mirrored(joint), offset * [1.0, -1.0, 1.0])]
-
-
-def _layout(entry: Mapping[str, Any]) -> Layout:
-    return Layout.of(str(entry["name"]), str(entry["title"]), entry["names"], entry.get("points"))
+    name, joint, offset = entry["name"], entry["joint"], np.array(entry["offset_mm"]) / 1000
+    point, other = Landmark(name, joint, offset), mirrored(name)
+    return [point] if other == name else [point, Landmark(other, mirrored(joint), offset * [1.0, -1.0, 1.0])]
 
 
 def _own_layouts() -> dict[str, Layout]:
@@ -216,27 +192,6 @@ def _own_layouts() -> dict[str, Layout]:
 def _seen_by(of_right: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
     both: dict[str, tuple[str, ...]] = {}
     for name, points in of_right.items():
-        both[name] = (own(name), *map(str, points))
-        both[mirrored(name)] = (own(mirrored(name)), *(mirrored(str(p)) for p in points))
+        both[name] = (own(name), *points)
+        both[mirrored(name)] = (own(mirrored(name)), *map(mirrored, points))
     return both
-
-
-def _check(table: DetectorTable) -> None:
-    """Check that every name is known and none stands twice."""
-    skeleton = SkeletonModel.default()
-    points = [point.name for point in table.points]
-    for where, names in {"points": points, **{n: la.points for n, la in table.layouts.items()}}.items():
-        double = [name for name in names if list(names).count(name) > 1]
-        if double:
-            raise FileFormatError(table.path, f"{where}: {double[0]} stands there twice")
-    used = [name for layout in table.layouts.values() for name in layout.points]
-    used += [name for names in table.seen_by.values() for name in names]
-    _check_known(table, "joint", (p.joint for p in table.points), skeleton.names)
-    _check_known(table, "landmark", table.seen_by, tuple(skeleton.landmarks))
-    _check_known(table, "point", used, [*points, *map(own, skeleton.landmarks)])
-
-
-def _check_known(table: DetectorTable, kind: str, used: Iterable[str], known: Sequence[str]) -> None:
-    unknown = sorted(set(used) - set(known))
-    if unknown:
-        raise UnknownNameError(f"{kind} in {table.path}", unknown, known)

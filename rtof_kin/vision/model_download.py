@@ -68,11 +68,14 @@ class ModelSet:
         return sum(file.megabytes for file in self.files)
 
 
-def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
-    """Return all sets of models of a .toml file, by default the shipped one, the preferred first; `FileFormatError`
-    where a field is missing or of the wrong kind.
-    """
-    return _read_sets(Path(path) if path is not None else model_path("detector_models.toml"))
+@cache
+def model_sets() -> tuple[ModelSet, ...]:
+    """Return all shipped sets of models, the preferred first."""
+
+    def described(file: list[dict[str, Any]], needs: list[str], **about: str) -> ModelSet:
+        return ModelSet(files=tuple(ModelFile(**one) for one in file), needs=tuple(needs), **about)
+
+    return tuple(described(**entry) for entry in load_toml(model_path("detector_models.toml"))["set"])
 
 
 def model_set(name: str) -> ModelSet:
@@ -81,20 +84,6 @@ def model_set(name: str) -> ModelSet:
     if name not in known:
         raise UnknownNameError("set of models", [name], list(known))
     return known[name]
-
-
-@cache
-def _read_sets(path: Path) -> tuple[ModelSet, ...]:
-    data = load_toml(path)
-    try:
-        return tuple(_set(dict(entry)) for entry in data["set"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"an entry is incomplete or of the wrong kind: {error}") from error
-
-
-def _set(entry: dict[str, Any]) -> ModelSet:
-    files = tuple(ModelFile(**file) for file in entry.pop("file"))
-    return ModelSet(needs=tuple(entry.pop("needs")), files=files, **entry)
 
 
 def models_folder(wanted: ModelSet) -> Path:

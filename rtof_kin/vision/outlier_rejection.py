@@ -9,7 +9,6 @@ of 84 intervals came nearer to those without exchanges (`tests/vision`); 63 % of
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -71,25 +70,6 @@ def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:
     return {group: np.array(pairs) for group, pairs in groups.items() if len(pairs) >= _FEWEST_PAIRS}
 
 
-class _Past:
-    """Positions of points in the last frames."""
-
-    def __init__(self) -> None:
-        self._frames: deque[tuple[float, Array]] = deque(maxlen=_FRAMES_OF_PAST)
-
-    def add(self, time: float, points: Array) -> None:
-        while self._frames and time - self._frames[0][0] > _PAST:
-            self._frames.popleft()
-        self._frames.append((time, points))
-
-    def expected(self, time: float) -> Array | None:
-        """Return the points at a time by linear regression, NaN for those with too few positions."""
-        if len(self._frames) < _FEWEST_FRAMES or time - self._frames[-1][0] > _PAST:
-            return None
-        times, points = zip(*self._frames, strict=True)
-        return _on_lines(np.array(times) - time, np.stack(points))
-
-
 def _on_lines(since: Array, past: Array) -> Array:
     """Points (..., n, 2, 2) by linear regression over past ones (F, ..., n, 2, 2), at times `since` (F, ...)
     later, which are negative; NaN where there are too few.
@@ -127,41 +107,40 @@ def _with_sides_corrected(keypoints: KeypointSequence, spans: list[slice], pairs
 
 def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int, int, bool]]:
     """Generate first and last frame of each interval with sides exchanged, and whether its end was found."""
-    times, sides, size = keypoints.times, keypoints.uv_px[:, pairs], _size(keypoints)
-    past, first, last = _Past(), None, 0
+    sides, size = keypoints.uv_px[:, pairs], _size(keypoints)
     whole = np.isfinite(sides).all(axis=(2, 3)).sum(axis=1)
-    frames, straight = np.flatnonzero(whole >= _FEWEST_PAIRS), 0
-    sudden = _crossed_at_once(times[frames], sides[frames], size)
-    for t, crossed in zip(frames.tolist(), sudden.tolist(), strict=True):
-        straight += 1
-        if first is None and straight > _FRAMES_OF_PAST and not crossed:
-            past.add(times[t], sides[t])
-            continue
-        if first is not None and (times[t] - times[first] > _LONGEST_EXCHANGE or times[t] - times[last] > _PAST):
-            yield first, last, False
-            first, past, straight = None, _Past(), 1
-        now = sides[t] if first is None else sides[t][:, ::-1]
-        expected = past.expected(times[t])
-        if expected is not None and _crossed(now, expected, size):
-            now = now[:, ::-1]
+    frames = np.flatnonzero(whole >= _FEWEST_PAIRS)
+    number, times, sides = frames.tolist(), keypoints.times[frames], sides[frames]
+    sudden = _crossed(sides, _expected(times, sides, np.arange(len(frames)), 0), size)
+    first, begin, straight = None, 0, 0  # of an exchange; of the frames that predict; after the last exchange
+    for k, now in enumerate(times.tolist()):
+        if first is not None and (now - times[first] > _LONGEST_EXCHANGE or now - times[k - 1] > _PAST):
+            yield number[first], number[k - 1], False
+            first, begin, straight = None, k, k
+        if first is not None:
+            sides[k] = sides[k][:, ::-1]
+        at, crossed = np.array([k]), sudden[k]
+        if first is not None or k - straight < _FRAMES_OF_PAST:
+            crossed = _crossed(sides[at], _expected(times, sides, at, begin), size)[0]
+        if crossed:
+            sides[k] = sides[k][:, ::-1]
             if first is None:
-                first = t
+                first = k
             else:
-                yield first, last, True
-                first = None
-        past.add(times[t], now)
-        last, straight = t, straight if first is None else 0
+                yield number[first], number[k - 1], True
+                first, straight = None, k
     if first is not None:
-        yield first, last, False
+        yield number[first], number[-1], False
 
 
-def _crossed_at_once(times: Array, sides: Array, size: float) -> Mask:
-    """Return whether pairs (K, n, 2, 2) are crossed, frame by frame, where the frames before are not."""
-    before = np.arange(len(times)) - np.arange(_FRAMES_OF_PAST, 0, -1)[:, None]
-    at, newest = np.maximum(before, 0), np.maximum(before[-1], 0)
-    there = (before >= 0) & (times[newest] - times[at] <= _PAST) & (times - times[newest] <= _PAST)
-    past = np.where(there[..., None, None, None], sides[at], np.nan)
-    return _crossed(sides, _on_lines(times[at] - times, past), size)
+def _expected(times: Array, sides: Array, at: Index, begin: int) -> Array:
+    """Return the points of frames `at` (m,) by linear regression over the frames before, from number `begin` on; NaN
+    for those with too few positions. times: (K,). sides: (K, n, 2, 2).
+    """
+    before = at - np.arange(_FRAMES_OF_PAST, 0, -1)[:, None]
+    there, newest, past = before >= begin, np.maximum(before[-1], 0), np.maximum(before, 0)
+    there &= (times[newest] - times[past] <= _PAST) & (times[at] - times[newest] <= _PAST)
+    return _on_lines(times[past] - times[at], np.where(there[..., None, None, None], sides[past], np.nan))
 
 
 def _crossed(now: Array, expected: Array, size: float) -> Mask:

@@ -311,25 +311,11 @@ def find_phone(make: str | None, model: str | None) -> Phone | None:
 @cache
 def phone_table() -> tuple[Phone, ...]:
     """Return the shipped table of phones."""
-    return read_phone_table(model_path("phones.toml"))
+    data = load_toml(model_path("phones.toml"))
+    return tuple(_phone(entry, data["sources"][entry["source"]]) for entry in data["phone"])
 
 
-def read_phone_table(path: str | Path) -> tuple[Phone, ...]:
-    """Read a table of phones; `FileFormatError` where it is not TOML, or a field is missing, of the wrong kind, or a
-    focal length beyond any phone's.
-    """
-    data = load_toml(Path(path))
-    try:
-        return tuple(_phone(entry, data["sources"]) for entry in data["phone"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(path, f"an entry is incomplete or of the wrong kind: {error!r}") from error
-
-
-def _phone(entry: dict[str, Any], sources: dict[str, dict[str, Any]]) -> Phone:
-    source = sources[entry["source"]]
-    focal = float(entry["focal"]) if "focal" in entry else entry["focal_35mm_mm"] * _VIDEO / _FILM_WIDTH_MM
-    if not 0.3 < focal < 3:
-        raise ValueError(f"{entry['models']}: focal length {focal:g} of the longer side")
-    k1, sigma_k1 = float(entry.get("k1", source["k1"])), float(source["sigma_k1"])
-    models = tuple(map(str, entry["models"]))
-    return Phone(str(entry["make"]), models, focal, float(source["sigma"]), k1, sigma_k1, str(source["title"]))
+def _phone(entry: dict[str, Any], source: dict[str, Any]) -> Phone:
+    focal = entry["focal"] if "focal" in entry else entry["focal_35mm_mm"] * _VIDEO / _FILM_WIDTH_MM
+    k1, models = float(entry.get("k1", source["k1"])), tuple(entry["models"])
+    return Phone(entry["make"], models, focal, source["sigma"], k1, source["sigma_k1"], source["title"])

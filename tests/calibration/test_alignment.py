@@ -125,7 +125,7 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration()
                 Quantity("heading", joint, np.radians([5.0]), sigma, np.radians([20.0]), 0.99),
                 Quantity("mounting", joint, np.zeros(3), np.repeat(sigma, 3), np.radians([20.0] * 3), 0.99),
             ]
-        return SelfCalibration(tuple(found), (), 4.5, True)
+        return SelfCalibration(tuple(found), 4.5)
 
     after = align_sensors(*video, log, places, skeleton(), finds)
     assert after.sensors[0].heading == before.sensors[0].heading

@@ -111,7 +111,7 @@ def test_the_cost_does_not_grow_with_the_recording(monkeypatch: pytest.MonkeyPat
         return solve(self, x, *given, **more)
 
     monkeypatch.setattr(LevenbergMarquardt, "solve", counting)
-    priors = cs.only("heading", sigma_heading_drift=None, most_seconds=2 * N / 60)
+    priors = cs.only("heading", most_seconds=2 * N / 60)
     costs = []
     for frames in (4 * N, 20 * N):
         counted.clear()
@@ -125,7 +125,7 @@ def test_a_delay_is_found_from_slices() -> None:
     late = cs.late(planted.recording(truth, sigma_px=0.5, degrees=0.5), 0.03)
     one = cs.whole(late, replace(truth.poses, times=late.keypoints.times))
     parts = [part_of(one, slice(2 * N, 8 * N)), part_of(one, slice(20 * N, 27 * N))]
-    result = calibrate(parts, cs.only("delay", sigma_clock_drift=None), cs.SETTINGS, 2 * N)
+    result = calibrate(parts, cs.only("delay"), cs.SETTINGS, 2 * N)
     assert result["delay", "video"].value[0] == pytest.approx(0.03, abs=0.006)
     assert parts[0].guess.poses.times[-1] < result.middle < parts[1].guess.poses.times[0]
 

@@ -78,7 +78,7 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
         ("reconstruct {short} -o {out} --paper --space joint", "leave out --space joint"),
         ("reconstruct {short} -o {out} --space cartesian --mode imu", "leave out --space cartesian"),
         ("reconstruct {short} -o {out} --paper --mode imu", "leave out --paper"),
-        ("reconstruct {short} -o {out} --backend ipopt --mode sf2", "leave out --space, --backend"),
+        ("reconstruct {short} -o {out} --space joint --mode sf2", "leave out --space and --paper"),
         ("reconstruct {short} --calibrate-only -o {out} --space cartesian", "leave out --space cartesian"),
         ("reconstruct {short} --calibrate-only -o {out} --paper", "leave out --paper"),
         ("study {short} -o {out} --paper --space joint", "leave out --space joint"),

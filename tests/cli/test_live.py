@@ -98,7 +98,7 @@ def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
     cli: Cli, estimator: dict[str, Any], tmp_path: Path
 ) -> None:
     delay = Quantity("delay", "video", np.array([0.02]), np.array([0.002]), np.array([0.05]), 0.99)
-    earlier = SelfCalibration((delay,), (), 0.0, True)
+    earlier = SelfCalibration((delay,))
     write_self_calibration_toml(tmp_path / "earlier.toml", earlier)
     take = tmp_path / "take"
     opened = ("--refine", "delay,mounting", "--calibration", tmp_path / "earlier.toml")

@@ -38,7 +38,6 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     assert settings.pop("fragment")["jerk"] == 2.5
     assert settings == {
         "space": "joint",
-        "backend": "realtime",
         "energy": "default",
         "frames": 16,
         "guards": ",".join(GUARDS),
@@ -59,39 +58,30 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     page = unescape((tmp_path / "out" / "report.html").read_text())
     cause = plain_words(verdict["headline"].partition("; more")[0], angle_table(SkeletonModel.default().table))
     assert f"{cause[:1].upper()}{cause[1:]}." in page
-    assert "joint space, realtime, energy: default; 16 frames" in page
+    assert "joint space, energy: default; 16 frames" in page
 
 
 def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
     options = "--paper --guards none --no-lift-with-sensors --model perfect"
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
-    assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
+    assert (found["space"], found["energy"]) == ("cartesian", "as printed")
     assert (found["fragment"]["k_V"], found["fragment"]["bone_lengths"]) == (0.9, "free")
     assert (found["guards"], found["lift_with_sensors"]) == ("", False)
     assert found["lifter"] == "perfect"
     assert "stream_faults" not in summary
 
 
-def test_calibrated_recording_keeps_its_energy_with_another_backend(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    summary, _ = summary_after(cli, stuck, tmp_path / "out", *["--calibrate", "--backend", "ipopt", "--space", "joint"])
-    found = summary["settings"]
-    assert (found["space"], found["backend"]) == ("joint", "ipopt")
-    assert (found["calibrate"], found["energy"]) == ("yes", "default")
-
-
 @pytest.mark.parametrize(
     "options, expected",
     [
         ("", JointSpaceSettings()),
-        ("--space joint --backend ipopt", JointSpaceSettings(backend="ipopt")),
+        ("--space joint", JointSpaceSettings()),
         ("--space cartesian", CartesianSettings()),
-        ("--space cartesian --backend realtime", CartesianSettings(backend="realtime")),
         ("--paper", CartesianSettings.paper()),
-        ("--paper --backend realtime", CartesianSettings.paper("realtime")),
     ],
 )
-def test_options_choose_space_and_backend(options: str, expected: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_options_choose_the_space(options: str, expected: object, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Any] = []
     monkeypatch.setattr("rtof_kin.cli.reconstruction.reconstruct_and_print", lambda *given: found.append(given) or Any)
     monkeypatch.setattr(Any, "stage_metrics", {}, raising=False)
@@ -102,10 +92,10 @@ def test_options_choose_space_and_backend(options: str, expected: object, monkey
 @pytest.mark.parametrize(
     "settings, name",
     [
-        (JointSpaceSettings(backend="ipopt", floor_height=0.1), "default"),
+        (JointSpaceSettings(max_iterations=9, floor_height=0.1), "default"),
         (JointSpaceSettings(jerk=7.0), "own"),
         (CartesianSettings(), "default"),
-        (CartesianSettings.paper("realtime"), "as printed"),
+        (CartesianSettings.paper(), "as printed"),
     ],
 )
 def test_energy_is_named(settings: JointSpaceSettings | CartesianSettings, name: str) -> None:

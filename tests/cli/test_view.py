@@ -16,8 +16,6 @@ from typing import Any
 import pytest
 from scene_support import measured, walking, written
 
-from rtof_kin.live.websocket_server import WebSocketServer
-
 pytest.importorskip("viser")
 Cli = Callable[..., Any]
 ROOT = Path(__file__).parents[2]
@@ -67,29 +65,6 @@ def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     assert "this machine only" in lines[2]
 
 
-def test_live_estimates_are_shown_until_ctrl_c() -> None:
-    source = WebSocketServer(walking(2).skeleton)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rtof_kin.cli", "view", "--live", source.url, "--no-browser"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=ENVIRONMENT,
-        cwd=ROOT,
-    )
-    assert process.stdout is not None
-    try:
-        lines = [process.stdout.readline(), process.stdout.readline()]
-        assert source.clients == 1
-    finally:
-        process.send_signal(signal.SIGINT)
-        rest, errors = process.communicate(timeout=20)
-        source.close()
-    assert (process.returncode, errors, rest) == (0, "", "")
-    assert source.url.replace("http", "ws") in lines[0]
-    assert "this machine only" in lines[1]
-
-
 def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Path) -> None:
     folder = written(tmp_path / "old", walking(40))
     done = cli.ok("view", folder, "--html", tmp_path / "page.html", "--fps", 10)
@@ -100,11 +75,6 @@ def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Pa
 
 def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) -> None:
     for arguments, words in (
-        ((), "name the output folder"),
-        ((out, "--live", "8765"), "name the output folder"),
-        (("--live",), "--live needs a value"),
-        (("--live", "ws://10.1.2.3:80"), "not an address of this machine"),
-        (("--live", "http://localhost:9/key/", "--html", "a.html"), "leave out --html"),
         ((out, "--html", tmp_path / "a.html", "--video", "a.mp4"), "the file has no video"),
         ((tmp_path,), "no such file; name the output folder"),
         ((out, "--beside", tmp_path), "no such file; name the output folder"),

@@ -115,7 +115,7 @@ def test_only_samples_usable_in_both_are_compared() -> None:
     a = replace(a, angles=replace(a.angles, values=values))
     b = replace(b, angles=replace(b.angles, values=spoiled, trusted=trusted, singular=singular))
     knee = of(compare(a, b, "time"), KNEE)
-    assert knee.share == pytest.approx(210 / 300)
+    assert knee.pair.share == pytest.approx(210 / 300)
     assert knee.errors is not None
     assert np.degrees(knee.errors.rmse) == pytest.approx(1.0)
 
@@ -140,7 +140,7 @@ def test_another_rate_is_interpolated_but_no_gap_is() -> None:
     knee = of(compare(one("a", TIMES, {KNEE: WAVE}, 2.0), slow, "time"), KNEE)
     assert knee.errors is not None
     assert np.degrees(knee.errors.rmse) < 0.05
-    assert knee.share == pytest.approx(0.9, abs=0.01)
+    assert knee.pair.share == pytest.approx(0.9, abs=0.01)
 
 
 def test_without_bands_of_one_the_other_alone_counts() -> None:
@@ -284,7 +284,9 @@ def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differen
     found, _ = compare_sides(compared("squat", squats(110, 3, 2.5)), "repetition")
     assert {angle.name for angle in found.angles} >= {"knee_flexion", "hip_flexion", "elbow_flexion"}
     assert np.degrees(max(abs(c.difference) for angle in found.angles for c in angle.changes)) < 1e-6
-    assert of(found, "knee_flexion").changes[0].dof == np.inf  # equal in each squat: no spread of differences
+    assert (
+        of(found, "knee_flexion").changes[0].error.effective_dof == np.inf
+    )  # equal in each squat: no spread of differences
     motion = walking(side_changed=1.5)
     sides, mirrored = (sides_of(compared("walk", m)) for m in (motion, mirror(motion)))
     one_way, other_way = compare(*sides, "time"), compare(*mirrored, "time")

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import Change, Measured, MixedError, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import (
+    Change,
+    Measured,
+    MixedError,
+    Repeats,
+    Verdict,
+    adjusted,
+    change,
+    error_of,
+)
 
 RNG = np.random.default_rng(0)
 
@@ -17,12 +26,20 @@ def one(value: float, sigma: float = 0.0) -> Measured:
     return Measured(np.array([value]), sigma)
 
 
-def with_p(p: float, dof: float = np.inf) -> Change:
-    return Change("mean", 0.0, 1.0, 1.0, dof, p)
+def with_p(p: float) -> Change:
+    return Change("mean", 0.0, 1.0, MixedError(1.0), p)
+
+
+def difference(a: Measured, b: Measured, repeats: Repeats = "none") -> Change:
+    return change("mean", a.mean, b.mean, error_of(a, b, repeats))
+
+
+def estimated(variance: float, dof: float, known: float = 0.0) -> MixedError:
+    return MixedError(known, variance, dof)
 
 
 def test_bands_of_both_add_as_independent_errors() -> None:
-    found = change("mean", one(0.1, 0.03), one(0.2, 0.04), repeats="none")
+    found = difference(one(0.1, 0.03), one(0.2, 0.04))
     assert (found.difference, found.sigma) == pytest.approx((0.1, 0.05))
     assert found.p == pytest.approx(2 * stats.norm.sf(2.0))
     assert found.interval == pytest.approx((0.1 - 0.05 * 1.959964, 0.1 + 0.05 * 1.959964))
@@ -30,7 +47,7 @@ def test_bands_of_both_add_as_independent_errors() -> None:
 
 def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
     errors = RNG.normal(0, [0.03, 0.05], (2000, 2))
-    found = [adjusted([change("mean", one(a, 0.03), one(b, 0.05), repeats="none")])[0] for a, b in errors]
+    found = [adjusted([difference(one(a, 0.03), one(b, 0.05))])[0] for a, b in errors]
     alarms = np.mean([one.verdict is Verdict.CHANGED for one in found])
     assert alarms == pytest.approx(0.05, abs=0.015)
     covered = np.mean([low <= 0 <= high for low, high in (one.interval for one in found)])
@@ -39,12 +56,11 @@ def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
 
 def test_repeats_without_bands_are_tested_as_by_welch() -> None:
     a, b = RNG.normal(0, 1, 5), RNG.normal(1, 3, 8)
-    found = change("mean", Measured(a, 0.0), Measured(b, 0.0), repeats="independent")
+    found = difference(Measured(a, 0.0), Measured(b, 0.0), "independent")
     expected = stats.ttest_ind(b, a, equal_var=False)
-    assert found.p == pytest.approx(expected.pvalue)
-    assert found.dof == pytest.approx(expected.df)
+    assert (found.p, found.error.dof) == pytest.approx((expected.pvalue, expected.df), rel=1e-6)
     interval = expected.confidence_interval(0.95)
-    assert found.interval == pytest.approx((interval.low, interval.high))
+    assert found.interval == pytest.approx((interval.low, interval.high), rel=1e-5)
 
 
 def test_coverage_holds_with_a_constant_error_and_few_repeats() -> None:
@@ -53,29 +69,30 @@ def test_coverage_holds_with_a_constant_error_and_few_repeats() -> None:
         means = RNG.normal(0, [0.04, 0.02])
         a = Measured(means[0] + RNG.normal(0, 0.05, 3), 0.04)
         b = Measured(means[1] + RNG.normal(0, 0.05, 4), 0.02)
-        low, high = change("mean", a, b, repeats="independent").interval
+        low, high = difference(a, b, "independent").interval
         covered += low <= 0 <= high
     assert 0.94 <= covered / 1500 <= 0.98
 
 
 def test_a_single_repeat_takes_the_spread_of_the_other() -> None:
     many = Measured(np.array([1.0, 1.2, 1.4]), 0.0)
-    found = change("mean", Measured(np.array([0.9]), 0.0), many, repeats="independent")
+    found = difference(Measured(np.array([0.9]), 0.0), many, "independent")
     assert found.sigma == pytest.approx(0.2 * np.sqrt(1 + 1 / 3))
-    assert found.dof == pytest.approx((4 / 3) ** 2 / ((1 + 1 / 9) / 2))
+    assert found.error.dof == pytest.approx(2)
+    assert found.p == pytest.approx(2 * stats.t.sf(0.3 / found.sigma, 2), rel=1e-6)
 
 
 def test_the_same_repeats_are_tested_as_pairs() -> None:
     depth, asymmetry = RNG.normal(80, 20, 6), RNG.normal(3, 1, 6)
-    found = change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="paired")
+    found = difference(Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), "paired")
     expected = stats.ttest_rel(depth + asymmetry, depth)
-    assert (found.p, found.dof) == pytest.approx((expected.pvalue, 5))
+    assert (found.p, found.error.dof) == pytest.approx((expected.pvalue, 5), rel=1e-6)
     assert found.p < 0.01
-    assert change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="independent").p > 0.3
+    assert difference(Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), "independent").p > 0.3
 
 
 def test_without_any_stated_error_nothing_is_tested() -> None:
-    found = adjusted([change("mean", one(0.0), one(0.5), repeats="none"), with_p(0.03)])
+    found = adjusted([difference(one(0.0), one(0.5)), with_p(0.03)])
     assert [c.verdict for c in found] == [Verdict.NOT_TESTED, Verdict.CHANGED]
     assert np.isnan(found[0].sigma)
     assert np.isnan(found[0].detectable)
@@ -88,10 +105,10 @@ def test_p_values_are_holms() -> None:
 
 
 def test_a_difference_of_the_detectable_size_is_changed_whatever_the_others_show() -> None:
-    still = [change("mean", one(0.0, 0.1), one(0.0, 0.1), repeats="none") for _ in range(9)]
+    still = [difference(one(0.0, 0.1), one(0.0, 0.1)) for _ in range(9)]
     detectable = adjusted(still)[0].detectable
     for size, verdict in ((1.001, Verdict.CHANGED), (0.999, Verdict.NOT_SHOWN)):
-        moved = change("mean", one(0.0, 0.1), one(size * detectable, 0.1), repeats="none")
+        moved = difference(one(0.0, 0.1), one(size * detectable, 0.1))
         assert adjusted([*still[1:], moved])[-1].verdict is verdict
         changed = [replace(other, p=1e-9) for other in still[1:]]
         if verdict is Verdict.CHANGED:
@@ -104,21 +121,21 @@ LEVELS = (0.05, 0.01, 0.002)
 @pytest.mark.parametrize("dof", [1, 2, 5, 30])
 @pytest.mark.parametrize("difference", [0.3, 2.0, 15.0])
 def test_an_estimated_variance_alone_gives_student(dof: float, difference: float) -> None:
-    error = MixedError(0.0, 4.0, dof)
+    error = estimated(4.0, dof)
     assert error.p(difference) == pytest.approx(2 * stats.t.sf(difference / 2, dof), rel=1e-6)
     assert error.half_width(0.05) == pytest.approx(2 * stats.t.isf(0.025, dof), rel=1e-5)
     assert error.effective_dof == dof
 
 
 def test_a_known_variance_alone_is_normal() -> None:
-    for error in (MixedError(4.0), MixedError(4.0, 0.0, 3.0), MixedError(3.0, 1.0)):
+    for error in (MixedError(4.0), estimated(0.0, 3.0, 4.0)):
         assert error.half_width(0.05) == pytest.approx(2 * stats.norm.isf(0.025))
-    assert MixedError(4.0, 1e-9, 2.0).p(3.0) == pytest.approx(2 * stats.norm.sf(1.5), rel=1e-5)
+    assert estimated(1e-9, 2.0, 4.0).p(3.0) == pytest.approx(2 * stats.norm.sf(1.5), rel=1e-5)
 
 
 def test_both_parts_are_wider_than_each_and_narrower_than_their_sum() -> None:
-    both, known, estimated = MixedError(2.0, 1.0, 3.0), MixedError(2.0), MixedError(0.0, 1.0, 3.0)
-    own = [error.half_width(0.01) for error in (both, known, estimated)]
+    both, known, other = estimated(1.0, 3.0, 2.0), MixedError(2.0), estimated(1.0, 3.0)
+    own = [error.half_width(0.01) for error in (both, known, other)]
     assert max(own[1:]) < own[0] < sum(own[1:])
     assert both.p(own[0]) == pytest.approx(0.01, rel=1e-6)
 

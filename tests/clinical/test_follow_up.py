@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,11 +13,9 @@ from follow_support import visit, walk_at
 from numpy.typing import NDArray
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import Measured
+from rtof_kin.clinical.comparison_change import Measured, MixedError
 from rtof_kin.clinical.follow_up import (
-    BandShares,
     Followed,
-    MeasurementErrors,
     Outcome,
     Repeated,
     follow_measures,
@@ -39,7 +38,7 @@ def values(*trials: float, band: float = 0.0) -> Measured:
 def one(*visits: Measured | None, better: Better | None = None, name: str = "x_range") -> Followed:
     directions: dict[str, Better] = {} if better is None else {name: better}
     series = {Measure(name, "deg"): visits}
-    return follow_measures(series, 0, Repeated.TRIALS, directions, BandShares())[0]
+    return follow_measures(series, 0, Repeated.TRIALS, directions)[0]
 
 
 # --- verdicts ------------------------------------------------------------------------------------
@@ -82,7 +81,7 @@ def test_not_shown_states_what_would_have_been() -> None:
     change = found.changes[1]
     assert change is not None
     assert found.outcome(1) is Outcome.NOT_SHOWN
-    assert change.detectable == pytest.approx(change.half_width(0.05))
+    assert change.detectable == pytest.approx(change.error.half_width(0.05))
     assert found.mostly(1) > change.detectable > abs(change.difference)
 
 
@@ -107,8 +106,19 @@ def test_a_visit_without_bands_takes_those_of_the_others() -> None:
 # --- families ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("band, shares", [(0.0, BandShares()), (0.5, BandShares(0.2, 0.4))])
-def test_one_false_verdict_in_a_family_has_at_most_the_level(band: float, shares: BandShares) -> None:
+class Shares(NamedTuple):
+    """How the variance of planted errors is divided; the rest is independent from trial to trial."""
+
+    all_visits: float = 0.0
+    visit: float = 1.0
+
+    @property
+    def trial(self) -> float:
+        return 1.0 - self.all_visits - self.visit
+
+
+@pytest.mark.parametrize("band, shares", [(0.0, Shares()), (0.5, Shares(0.2, 0.4))])
+def test_one_false_verdict_in_a_family_has_at_most_the_level(band: float, shares: Shares) -> None:
     """25 measures of three visits with two trials each, no change at all."""
     rng, alarms, count = np.random.default_rng(3), 0, 200
     for _ in range(count):
@@ -118,7 +128,7 @@ def test_one_false_verdict_in_a_family_has_at_most_the_level(band: float, shares
             common = rng.normal(0, band * np.sqrt(shares.visit), (3, 1))
             own = rng.normal(0, np.hypot(1.0, band * np.sqrt(shares.trial)), (3, 2))
             series[Measure(f"m{number}_range", "deg")] = [Measured(row, band) for row in always + common + own]
-        found = follow_measures(series, 0, Repeated.TRIALS, {}, shares)
+        found = follow_measures(series, 0, Repeated.TRIALS, {})
         alarms += any(one.outcome(v) is Outcome.CHANGED for one in found for v in (1, 2))
     assert alarms / count <= 0.05 + 3.5 * np.sqrt(0.05 * 0.95 / count)
 
@@ -271,7 +281,7 @@ def test_failed_audits_and_other_bodies_are_causes() -> None:
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(11)
 SEEDED = RNG.bit_generator.state
-SHARED = BandShares(all_visits=0.3, visit=0.4)
+SHARED = Shares(all_visits=0.3, visit=0.4)
 
 
 @pytest.fixture(autouse=True)
@@ -280,7 +290,7 @@ def same_draws() -> None:
     RNG.bit_generator.state = SEEDED
 
 
-def planted(trials: Sequence[int], change: float, band: float, person: float, shares: BandShares) -> list[Measured]:
+def planted(trials: Sequence[int], change: float, band: float, person: float, shares: Shares) -> list[Measured]:
     """Visits of one person, the last with another true value; their bands are right."""
     always = RNG.normal(0, band * np.sqrt(shares.all_visits))
     out = []
@@ -292,9 +302,13 @@ def planted(trials: Sequence[int], change: float, band: float, person: float, sh
     return out
 
 
-def p_of(visits: Sequence[Measured], shares: BandShares) -> float:
-    errors = measurement_errors(visits, shares)
-    return errors.of_change(visits[0], visits[-1]).p(visits[-1].mean - visits[0].mean)
+def error_of_change(a: Measured, b: Measured, *others: Measured) -> MixedError:
+    return measurement_errors([a, *others, b]).of_change(a, b)
+
+
+def p_of(visits: Sequence[Measured]) -> float:
+    first, *others, last = visits
+    return error_of_change(first, last, *others).p(last.mean - first.mean)
 
 
 # --- closed forms --------------------------------------------------------------------------------
@@ -319,44 +333,34 @@ def test_mean_square_within_is_that_of_an_analysis_of_variance() -> None:
 
 def test_the_three_standard_errors_and_their_minimal_detectable_changes() -> None:
     visits = [Measured(np.array([39.0, 41.0]), 3.0), Measured(np.array([49.0, 51.0]), 4.0)]
-    errors = measurement_errors(visits, BandShares())
-    assert errors.bands.sem == pytest.approx(np.sqrt(12.5))
-    assert errors.bands.mdc95 == pytest.approx(1.959964 * np.sqrt(2) * errors.bands.sem)
-    assert (errors.trials.sem, errors.trials.dof) == (pytest.approx(np.sqrt(2)), 2)
+    errors = measurement_errors(visits)
+    assert errors.bands.sigma == pytest.approx(np.sqrt(12.5))
+    assert errors.bands.mdc95 == pytest.approx(1.959964 * np.sqrt(2) * errors.bands.sigma)
+    assert (errors.trials.sigma, errors.trials.dof) == (pytest.approx(np.sqrt(2)), 2)
     assert errors.trials.mdc95 == pytest.approx(stats.t.isf(0.025, 2) * np.sqrt(2) * np.sqrt(2), rel=1e-5)
-    assert errors.both.sem == pytest.approx(np.sqrt(12.5 + 2 / 2))
+    assert errors.both.sigma == pytest.approx(np.sqrt(12.5 + 2 / 2))
     assert errors.both.mdc95 > errors.bands.mdc95
 
 
 def test_without_repeats_or_bands_nothing_is_stated() -> None:
     one, two = Measured(np.array([40.0]), 0.0), Measured(np.array([45.0]), 0.0)
-    errors = measurement_errors([one, two], BandShares())
-    assert all(np.isnan(sem.sem) for sem in (errors.bands, errors.trials, errors.both))
-    assert not errors.of_change(one, two).sigma
+    errors = measurement_errors([one, two])
+    assert all(np.isnan(own.sigma) for own in (errors.bands, errors.trials, errors.both))
 
 
 def test_trials_do_not_make_errors_smaller_that_they_share() -> None:
     many = [Measured(RNG.normal(40, 1, 500), 3.0) for _ in range(2)]
-    assert measurement_errors(many, BandShares()).both.sem == pytest.approx(3.0, rel=0.01)
-    own = BandShares(visit=0.0)  # independent from trial to trial: all but the band that trials do not show
-    assert measurement_errors(many, own).both.sem == pytest.approx(np.sqrt(8.0), rel=0.02)
-
-
-@pytest.mark.parametrize("all_visits, visit", [(-0.1, 1.0), (0.7, 0.5), (float("nan"), 0.1)])
-def test_shares_beyond_a_whole_are_refused(all_visits: float, visit: float) -> None:
-    with pytest.raises(InvalidInputError, match="shares of the bands"):
-        BandShares(all_visits, visit)
+    assert measurement_errors(many).both.sigma == pytest.approx(3.0, rel=0.01)
 
 
 # --- planted errors ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shares", [BandShares(), SHARED, BandShares(0.5, 0.5), BandShares(0.3, 0.5)])
-def test_the_stated_variance_of_a_change_is_the_planted_one(shares: BandShares) -> None:
-    """No error is counted twice and none is lost, where the shares are right."""
-    draws = [planted((4, 4), 0.0, 3.0, 2.0, shares) for _ in range(2500)]
+def test_the_stated_variance_of_a_change_is_the_planted_one() -> None:
+    """No error is counted twice and none is lost, where trials share all errors of measurement."""
+    draws = [planted((4, 4), 0.0, 3.0, 2.0, Shares()) for _ in range(2500)]
     changes = [b.mean - a.mean for a, b in draws]
-    stated = [measurement_errors([a, b], shares).of_change(a, b).sigma ** 2 for a, b in draws]
+    stated = [error_of_change(a, b).sigma ** 2 for a, b in draws]
     assert np.mean(stated) == pytest.approx(np.var(changes), rel=0.08)
 
 
@@ -375,33 +379,32 @@ def test_the_stated_variance_of_a_change_is_the_planted_one(shares: BandShares) 
 )
 def test_false_changes_are_at_most_five_per_cent(trials: tuple[int, ...], person: float) -> None:
     count = 700
-    for shares, declared in ((SHARED, SHARED), (SHARED, BandShares()), (BandShares(), BandShares())):
-        p = [p_of(planted(trials, 0.0, 2.0, person, shares), declared) for _ in range(count)]
+    for shares in (SHARED, Shares()):
+        p = [p_of(planted(trials, 0.0, 2.0, person, shares)) for _ in range(count)]
         assert np.mean(np.array(p) < 0.05) <= 0.05 + 3.5 * np.sqrt(0.05 * 0.95 / count)
 
 
-def test_the_default_never_states_less_than_the_errors_whatever_their_shares() -> None:
-    for shares in (BandShares(), SHARED, BandShares(0.0, 0.0), BandShares(1.0, 0.0)):
+def test_the_stated_error_is_never_less_than_the_errors_whatever_their_shares() -> None:
+    for shares in (Shares(), SHARED, Shares(0.0, 0.0), Shares(1.0, 0.0)):
         draws = [planted((3, 3), 0.0, 3.0, 1.0, shares) for _ in range(800)]
         spread = np.std([b.mean - a.mean for a, b in draws])
-        stated = np.mean([measurement_errors([a, b], BandShares()).both.sem for a, b in draws])
+        stated = np.mean([measurement_errors([a, b]).both.sigma for a, b in draws])
         assert stated * np.sqrt(2) >= 0.95 * spread
 
 
 @pytest.mark.parametrize("trials", [(3, 3, 3), (6, 6)])
 def test_power_is_as_predicted(trials: tuple[int, ...]) -> None:
     def found(change: float) -> float:
-        p = [p_of(planted(trials, change, 2.0, 1.0, SHARED), SHARED) for _ in range(800)]
+        p = [p_of(planted(trials, change, 2.0, 1.0, Shares())) for _ in range(800)]
         return float(np.mean(np.array(p) < 0.05))
 
-    errors: list[MeasurementErrors] = []
-    needed, mostly = [], []
+    needed, mostly, stated = [], [], []
     for _ in range(150):
-        visits = planted(trials, 0.0, 2.0, 1.0, SHARED)
-        errors.append(measurement_errors(visits, SHARED))
-        error = errors[-1].of_change(visits[0], visits[-1])
+        first, *others, last = planted(trials, 0.0, 2.0, 1.0, Shares())
+        error = error_of_change(first, last, *others)
+        stated.append(measurement_errors([first, *others, last]).both.mdc95)
         needed.append(error.half_width(0.05))
         mostly.append(shown_mostly(error, needed[-1]))
     assert found(float(np.mean(mostly))) == pytest.approx(0.8, abs=0.06)
     assert found(float(np.mean(needed))) == pytest.approx(0.5, abs=0.06)
-    assert np.mean([one.both.mdc95 for one in errors]) == pytest.approx(np.mean(needed), rel=0.02)
+    assert np.mean(stated) == pytest.approx(np.mean(needed), rel=0.02)

@@ -42,7 +42,6 @@ N, FRAMES = 8, 12
 SETTINGS: dict[str, JointSpaceSettings | CartesianSettings] = {
     "joint": JointSpaceSettings(),
     "cartesian": CartesianSettings(),
-    "cartesian by IPOPT": CartesianSettings(backend="ipopt"),
 }
 
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -196,15 +195,6 @@ def test_folder_that_appeared_meanwhile_is_kept(tmp_path: Path, overwrite: bool)
         (folder / MARKER).write_text("second")
         write(tmp_path / "second", "first")  # of another run
     assert (tmp_path / "second" / MARKER).read_text() == "first"
-
-
-def test_concurrent_overwriting_leaves_the_complete_output_of_one(tmp_path: Path) -> None:
-    write(tmp_path / "out", "0")
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(lambda text: write(tmp_path / "out", text, overwrite=True), "123456789abc"))
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    found = tree(tmp_path / "out")
-    assert found[MARKER] == found["deep/data"] != "0"
 
 
 def test_files_added_at_the_last_moment_are_kept_beside(

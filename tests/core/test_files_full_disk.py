@@ -19,9 +19,9 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.cli import files
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
-from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
+from rtof_kin.formats.joint_trajectory import write_ros_trajectory
 from rtof_kin.formats.markers import write_c3d
-from rtof_kin.formats.motion_files import write_motion_parquet
+from rtof_kin.formats.motion_files import write_joint_trajectory_csv, write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
 from rtof_kin.reporting.figures import save_figures
 from rtof_kin.vision.detections import Detections

@@ -84,9 +84,6 @@ def test_equal_files_are_allowed_and_different_ones_refused(tmp_path: Path) -> N
     assert str(one) in str(caught.value)
     assert str(two) in str(caught.value)
     assert all(index.one(("S5", "acting3"), kind) is None for kind in KINDS if kind != "positions")
-    two.unlink()
-    with pytest.raises(FileFormatError, match="cannot be compared"):
-        index.one(("S5", "acting3"), "positions")
 
 
 NAMES = SkeletonModel.default().names
@@ -162,10 +159,8 @@ def test_a_csv_has_the_columns_of_a_recording(tmp_path: Path, read: Any) -> None
 
 
 def test_landmarks_are_named_by_a_file_or_by_the_skeleton(tmp_path: Path, read: Any) -> None:
-    skeleton = SkeletonModel.named("human36m")
-    uv, confidence = values(17)
-    write(tmp_path / "S9_walking1_cam1.npz", uv_px=uv, confidence=confidence)
-    assert read("S9", "walking1", 1, skeleton=skeleton).names == skeleton.names
+    write(tmp_path / "S5_walking2_cam1.npz")
+    assert read("S5", "walking2", 1).names == NAMES
     uv, confidence = values(3)
     write(tmp_path / "all" / "S5_acting3_cam1.npz", uv_px=uv, confidence=confidence)
     (tmp_path / "landmarks.txt").write_text("Nose\nLeftHand\r\nRightFoot\n")
@@ -201,7 +196,7 @@ def test_wrong_names_of_landmarks_are_refused(tmp_path: Path, read: Any) -> None
     with pytest.raises(FileFormatError, match="cam1.npz: .*Nose .*more than once"):
         read()
     (tmp_path / "landmarks.txt").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileFormatError, match=r"landmarks.txt: not readable"):
+    with pytest.raises(FileFormatError, match=r"landmarks.txt: not a text file in UTF-8"):
         read()
     (tmp_path / "S5_acting3_cam1.npz").unlink()
     (tmp_path / "S5_acting3_cam1.csv").write_text("left_hip_u_px,left_hip_v_px\n1,2\n")

@@ -13,13 +13,9 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.formats.joint_trajectory import (
-    BASE_COLUMNS,
-    joint_velocities,
-    read_joint_trajectory_csv,
-    write_joint_trajectory_csv,
-    write_ros_trajectory,
-)
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, joint_velocities, write_ros_trajectory
+from rtof_kin.formats.motion_files import write_joint_trajectory_csv
 
 BODY = SkeletonModel.default().with_height(1.6)
 T = 20
@@ -59,7 +55,8 @@ def test_velocities_use_the_times_given(times: list[float], expected: list[float
 
 
 def test_written_table_is_read_back(table: Path, motion: Motion) -> None:
-    names, numbers = read_joint_trajectory_csv(table)
+    columns = read_csv(table)
+    names, numbers = tuple(columns), np.stack([*columns.values()], axis=1)
     valid = [f"{name}_valid" for name in ("base_q", *BODY.dof_names)]
     assert names == ("time", *BASE_COLUMNS, *BODY.dof_names, *valid)
     np.testing.assert_array_equal(numbers[:, 0], motion.times)
@@ -71,7 +68,7 @@ def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[4] = np.nan
     write_joint_trajectory_csv(tmp_path / "a.csv", replace(motion, q=q))
-    _, numbers = read_joint_trajectory_csv(tmp_path / "a.csv")
+    numbers = np.stack([*read_csv(tmp_path / "a.csv").values()], axis=1)
     np.testing.assert_array_equal(numbers[:, 1 : 1 + BODY.nq], q)
     np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
 

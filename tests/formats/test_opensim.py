@@ -12,15 +12,16 @@ import pytest
 from opensim_support import read_by_opensim
 
 from rtof_kin.body import urdf
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.opensim import (
-    coordinate_values,
     coordinates,
     read_opensim_table,
     to_osim,
+    value_blocks,
     write_mot,
     write_osim,
     write_sto,
@@ -33,6 +34,10 @@ R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 def body(any_skeleton: SkeletonModel) -> SkeletonModel:
     """A person of given height and mass, on either skeleton."""
     return any_skeleton.with_height(1.83).with_mass(68, "female")
+
+
+def coordinate_values(motion: Motion) -> np.ndarray:
+    return np.concatenate([values[block.own] for block, values in value_blocks(MotionSource.of(motion))])
 
 
 def test_opensim_mass_and_inertia(body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +94,7 @@ def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: fl
     q = skeleton.t_pose() if q is None else q
     for name, angle in angles.items():
         q[7 + skeleton.dof_names.index(name)] = angle
-    found, values = coordinate_values(moving(skeleton, q[None]))
+    found, values = coordinates(skeleton.table), coordinate_values(moving(skeleton, q[None]))
     return {c.name: v for c, v in zip(found, values[0].tolist(), strict=True)}
 
 
@@ -144,7 +149,7 @@ def test_heading_is_continuous_over_turns(skeleton: SkeletonModel) -> None:
     q = np.tile(skeleton.t_pose(), (200, 1))
     heading = np.linspace(0, 15, 200)
     q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis("z", heading)), -1, axis=-1)
-    _, values = coordinate_values(moving(skeleton, q))
+    values = coordinate_values(moving(skeleton, q))
     np.testing.assert_allclose(values[:, 2], heading, atol=1e-9)
 
 
@@ -182,7 +187,7 @@ def test_sto_has_radians_speeds_and_state_paths(motion: Motion, tmp_path: Path) 
     assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]
     assert names[1] == "/jointset/Hips/pelvis_tilt/value"
     assert names[-1] == "/jointset/LeftFoot/LeftFoot_z/speed"
-    _, values = coordinate_values(motion)
+    values = coordinate_values(motion)
     np.testing.assert_array_equal(table[:, 1:67], values)
     central = (values[2:] - values[:-2]) * 60 / 2
     np.testing.assert_allclose(table[1:-1, 67:], central, atol=1e-9)

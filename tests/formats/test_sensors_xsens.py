@@ -11,6 +11,7 @@ from sensor_files import REAL, Truth, dot_text, mt_text, truth
 
 from rtof_kin.core.errors import FileFormatError, UnitError
 from rtof_kin.formats.sensors.xsens import is_xsens_mt, read_xsens_dot, read_xsens_mt
+from rtof_kin.recording.sensor_files import imus_of_log
 
 ONE = truth(3, T=20)
 COUNTERS = np.arange(20) + 600
@@ -61,11 +62,11 @@ def test_mt_free_acceleration_under_the_wrong_name_can_be_declared() -> None:
     paths = list((REAL / "xsens_dot_as_mtw").glob("*.txt"))
     wrong = read_xsens_mt(paths)
     with pytest.raises(UnitError, match="LFemur"):
-        wrong.imus()
+        imus_of_log(wrong)
     assert any("60 Hz in microseconds, and the rate is taken as 100 Hz" in n for n in wrong.notes)
     right = read_xsens_mt(paths, gravity="removed", acceleration_axes="inertial", rate_hz=60)
     assert not any("rate" in n for n in right.notes)
-    assert np.median(np.linalg.norm(right.imus()[0].f_sensor, axis=-1)) == pytest.approx(9.81, abs=0.1)
+    assert np.median(np.linalg.norm(imus_of_log(right).f_sensor, axis=-1)) == pytest.approx(9.81, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -104,10 +105,10 @@ def test_mt_rate_can_be_declared_and_must_be_common(tmp_path: Path) -> None:
         read_xsens_mt([path])
     assert read_xsens_mt([path], rate_hz=100).streams[0].rate_hz == pytest.approx(100)
     for rate in ("0", "1.2.3", "99999999"):
-        with pytest.raises(FileFormatError, match=f"Update Rate: {rate}Hz"):
+        with pytest.raises(FileFormatError, match="Update Rate: ... Hz.* found none"):
             read_xsens_mt([mt(tmp_path, mt_text(ONE, COUNTERS, rate=rate))])
     both = [mt(tmp_path, mt_text(ONE, COUNTERS, rate=r), n) for r, n in (("60", "00B40001"), ("100", "00B40002"))]
-    with pytest.raises(FileFormatError, match="00B40002.txt: its rate is 100 Hz .* 60 Hz"):
+    with pytest.raises(FileFormatError, match="found 60 Hz in .*00B40001.txt and 100 Hz"):
         read_xsens_mt(both)
 
 

@@ -132,7 +132,6 @@ def test_warnings_name_restless_sensors_and_unobservable_headings() -> None:
         (InvalidInputError, "facing: nan", {"facing": float("nan")}),
         (UnknownNameError, "axis of facing", {"facing": ("Pelvis", "forward")}),
         (UnknownNameError, "sensor of facing", {"facing": ("Head", "x")}),
-        (UnknownNameError, "sensor 'Head'", {"levers": {"Head": [0, 0, 0]}}),
         (CalibrationError, "no orientation between 90 and 95 s", {"still": (90.0, 95.0)}),
         (
             CalibrationError,

@@ -47,7 +47,7 @@ def curve(reports: list[Any]) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["same", "baseline", "parts"])
+@pytest.mark.parametrize("name", ["same", "parts"])
 def test_two_processes_have_the_loss_curve_of_one_up_to_rounding(folders: tuple[Path, Path], name: str) -> None:
     """Batch normalisation, gradients, their limit, and a resumed training's optimiser included."""
     one, two = (reports(folder)[name] for folder in folders)

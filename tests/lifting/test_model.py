@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from lifting.model import NetworkConfig, TemporalNetwork
-from lifting.models import FoldedNetwork, model_of
+from lifting.model import FoldedNetwork, NetworkConfig, TemporalNetwork, answer
 from lifting.predict import Lifter
 from lifting.windows import EncodedWindows
 
@@ -69,6 +68,6 @@ def test_output_is_that_of_the_network(flip: bool, causal: bool, table: object) 
         none = torch.zeros(batch, 3, 3)
         encoded = EncodedWindows(features, constants, none, none, none[:, 0, 0])
         with torch.inference_mode():
-            wanted = model_of("rays").answer(body, lifter.network, encoded, flip)
+            wanted = answer(body, lifter.network, encoded, flip)
             found = FoldedNetwork(body, lifter.network, flip)(features, constants)
         torch.testing.assert_close(found, wanted, atol=2e-5, rtol=1e-5)

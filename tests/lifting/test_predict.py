@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from lifting import predict as module
 from lifting.checkpoint import save_checkpoint
-from lifting.model import torch_threads
-from lifting.models import FoldedNetwork, model_of
+from lifting.model import FoldedNetwork, torch_threads
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamingLifter
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN
+from lifting.windows import encode as encoded_by
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -92,10 +92,10 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
     p = P - CAMERA.center_world
     axes, points = (torch.from_numpy(x).float() for x in (R_shared[..., [0, 2]], p))
     across, along, turn = 0.01, 0.03, 0.05
-    model, seen = model_of("rays"), []
+    seen: list[Any] = []
 
     def encode(*given: Any) -> Any:
-        seen.append(model.encode(*given))
+        seen.append(encoded_by(*given))
         return seen[-1]
 
     def exact(*_: object) -> torch.Tensor:
@@ -109,7 +109,7 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
         parts = [pose, shift, distance, spread, in_ray, torch.full((T, 21), turn).log()]
         return torch.cat([x.flatten(1) for x in parts], dim=1)
 
-    monkeypatch.setattr(module, "model_of", lambda name: replace(model, encode=encode))
+    monkeypatch.setattr(module, "encode", encode)
     monkeypatch.setattr(FoldedNetwork, "__call__", exact)
     poses = lifter.predict(KEYPOINTS, OFFSETS)
     np.testing.assert_allclose(poses.p_world_joint, P, atol=1e-5)

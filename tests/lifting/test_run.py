@@ -31,7 +31,6 @@ QUICK = TrainConfig(
     skeletons=0,
     report_every=1,
     validations=2,
-    threads=1,
     validation_windows=8,
     bfloat16=False,
     augment=plain(),
@@ -78,11 +77,9 @@ def test_a_state_of_other_motion_is_refused(corpus: Corpus, tmp_path: Path) -> N
 
 def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> None:
     path = train(QUICK, corpus, tmp_path / "lifter.pt")
-    message = "a rays lifter of 8 channels and 21 joints; this training is of rays, 9 channels"
+    message = "a lifter of 8 channels and 21 joints; this training is of 9 channels"
     with pytest.raises(FileFormatError, match=message):
         train(replace(QUICK, channels=9), corpus, tmp_path / "other.pt", start=path)
-    with pytest.raises(FileFormatError, match="this training is of videopose3d"):
-        train(replace(QUICK, model="videopose3d"), corpus, tmp_path / "other.pt", start=path)
     with pytest.raises(FileFormatError, match=r"lifter_perfect\.pt: .*start from one that fits"):
         train(QUICK, corpus, tmp_path / "other.pt", start="perfect")
 
@@ -152,7 +149,7 @@ def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
 
 
 def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Corpus, tmp_path: Path) -> None:
-    config = replace(QUICK, deterministic=True, dropout=0.2, bfloat16=True, threads=2)
+    config = replace(QUICK, deterministic=True, dropout=0.2, bfloat16=True)
     states, during = [], []
     for name in ("a", "b"):
         path = train(
@@ -175,7 +172,7 @@ def test_the_command_trains_with_every_option(
     corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
-    common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--draw-threads", "1"]
+    common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8"]
     common += ["--validation-windows", "8", "--ema", "0.9", "--no-bfloat16"]
     assert cli.main([*common, "-o", str(out), "--causal", "--camera-at", "4", "1.5", "--seed", "3"]) == 0
     assert f"curves: {out}.curves.png" in capsys.readouterr().out
@@ -186,9 +183,6 @@ def test_the_command_trains_with_every_option(
     assert description.recipe["augment"]["camera_height"] == [1.5, 1.5]
     tuned = tmp_path / "tuned.pt"
     assert cli.main([*common, "-o", str(tuned), "--initial", str(out)]) == 0
-    baseline = tmp_path / "baseline.pt"
-    assert cli.main([*common, "-o", str(baseline), "--network", "videopose3d"]) == 0
-    assert load_checkpoint(baseline)[1].recipe["dropout"] == 0.25
     assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--initial", str(tmp_path / "none.pt")]) == 2
     assert "none.pt: no such file" in capsys.readouterr().err
 
@@ -207,6 +201,6 @@ def test_an_interrupted_command_names_the_state_file(
 
 
 def test_an_error_of_the_second_thread_reaches_the_caller_and_the_thread_ends() -> None:
-    with pytest.raises(ZeroDivisionError), Prefetch(lambda step: 1 // step, ahead=True) as prefetch:
+    with pytest.raises(ZeroDivisionError), Prefetch(lambda step: 1 // step) as prefetch:
         prefetch(0)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("windows")]

@@ -10,7 +10,7 @@ import pytest
 from live_support import FakeEstimator, frame_samples
 
 from rtof_kin.live.clock_map import VIDEO, Arrived
-from rtof_kin.live.monitor import Change, Monitor, Recent, State
+from rtof_kin.live.monitor import Change, Monitor, State
 from rtof_kin.live.samples import FrameSample, ImuSample, Sample
 
 STEP = 1 / 60
@@ -122,11 +122,7 @@ def test_status_is_plain_and_has_the_figures_of_the_estimate() -> None:
     assert status["camera"]["state"] == "waiting"
 
 
-def test_memory_of_a_stream_is_bounded() -> None:
-    recent = Recent()
-    for i in range(100_000):
-        recent.add(0.001 * i, 0.0)
-    assert len(recent._samples) <= 1024
-    quality = recent.quality()
-    assert quality is not None
-    assert quality.rate_hz == pytest.approx(1000, rel=0.02)
+def test_rate_of_a_fast_stream_is_that_of_the_samples_that_are_kept() -> None:
+    monitor = Monitor(["a"])
+    follow(monitor, ticks(1000.0, 4.0), 4.0)
+    assert monitor.status()["sensors"][0]["rate_hz"] == pytest.approx(1000, rel=0.02)

@@ -95,7 +95,6 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
         (["absent.mp4"], [], "absent.mp4.*webcam"),
         ([], ["absent.csv"], "absent.csv.*lsl:NAME"),
         (["lsl:"], [], "lsl:"),
-        ([], ["udp:9000"], "udp:9000: UDP is no longer read.*lsl:NAME"),
         ([str(Path(__file__).parent)], [], "recording.toml"),
     ],
 )

@@ -169,12 +169,12 @@ def test_sensor_of_the_calibration_that_never_comes() -> None:
 
 
 @pytest.mark.parametrize("factor", [1 / STANDARD_GRAVITY, 100.0])
-def test_wrong_units_are_told_after_two_seconds(factor: float) -> None:
+def test_wrong_units_are_told_after_the_first_seconds(factor: float) -> None:
     arrivals = [
-        (t, replace(s, f_sensor=s.f_sensor * factor)) for t, s in on_time(imu_samples(4.0)) if isinstance(s, ImuSample)
+        (t, replace(s, f_sensor=s.f_sensor * factor)) for t, s in on_time(imu_samples(5.5)) if isinstance(s, ImuSample)
     ]
-    session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
-    assert 2.0 < first(told, "imus", "specific force") < 3.0
+    session, told = run(FakeSource("imus", arrivals), camera(), stop=5.5)
+    assert 4.5 < first(told, "imus", "specific force") < 5.5
     assert count(told, "specific force") == 1
     if factor < 1:
         assert count(told, "acceleration_unit = g") == 1
@@ -189,12 +189,10 @@ def test_unusable_numbers_are_left_out_and_told_once() -> None:
             return replace(s, R_inertial_sensor=2 * s.R_inertial_sensor)
         if s.sensor == "R_UpArm" and s.time > 1:
             return replace(s, f_sensor=np.array([np.inf, 0, 0]))
-        if s.sensor == "L_LowLeg" and s.time > 1:
-            return replace(s, f_sensor=np.zeros(4))
         return s
 
     session, told = run(FakeSource("imus", [(s.time, broken(s)) for s in imu_samples(2.0)]), stop=2.0)
-    for name, word in (("L_UpArm", "rotation"), ("R_UpArm", "finite"), ("L_LowLeg", "shapes")):
+    for name, word in (("L_UpArm", "rotation"), ("R_UpArm", "finite")):
         assert first(told, name, word) < 1.1
         assert count(told, name, word) == 1
         assert session.finish(2.0).streams[name].left_out == pytest.approx(60, abs=1)

@@ -12,7 +12,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.samples import FrameSample, ImuSample
-from rtof_kin.live.stream_checks import FirstSeconds, number_faults, shape_faults
+from rtof_kin.live.stream_checks import FirstSeconds, number_faults
 
 
 def imus(seconds: float) -> list[ImuSample]:
@@ -29,7 +29,7 @@ def checked(samples: list[ImuSample]) -> list[str]:
     return sentences
 
 
-def at_rest(seconds: float = 3.0) -> list[ImuSample]:
+def at_rest(seconds: float = 5.0) -> list[ImuSample]:
     """One sensor that lies still on its side."""
     rng = np.random.default_rng(0)
     R = so3.exp(np.array([1.0, 0.3, 0.2]))
@@ -62,7 +62,7 @@ def test_order_of_the_quaternion_is_told_once(samples: list[ImuSample]) -> None:
 
 
 def test_sensors_of_one_source_share_a_sentence() -> None:
-    wrong = [replace(s, f_sensor=s.f_sensor / 9.80665) for s in imus(3.0)]
+    wrong = [replace(s, f_sensor=s.f_sensor / 9.80665) for s in imus(5.0)]
     (sentence,) = checked(wrong)
     for name in demo().calibration.sensors:
         assert name in sentence
@@ -100,11 +100,8 @@ def test_missing_numbers_are_no_fault() -> None:
     assert number_faults([missing]) == [""]
 
 
-def test_frames_of_other_shapes_or_numbers() -> None:
+def test_frames_of_other_numbers() -> None:
     frame = frame_samples(0.1)[0]
     assert isinstance(frame, FrameSample)
-    L = len(frame.uv_px)
-    assert shape_faults([frame, imus(0.1)[0]], [L, 0]) == ["", ""]
-    assert f"{L} points where {L + 1}" in shape_faults([frame], [L + 1])[0]
     assert "infinite" in number_faults([replace(frame, uv_px=frame.uv_px * np.inf)])[0]
     assert "confidence" in number_faults([replace(frame, confidence=frame.confidence + 2)])[0]

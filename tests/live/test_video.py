@@ -101,7 +101,6 @@ def test_every_image_of_a_file_gives_the_points_that_the_offline_reader_gives(fi
     with running(VideoSource(film, lambda: walker, camera_px=size, replay=ReplayClock(INF))) as source:
         samples = polled(source)
         assert source.clock is Clock.COMMON
-        assert source.sensors == ()
         assert source.notices() == []
     assert walker.closed == 1
     times = np.array([s.time for s in samples])
@@ -131,7 +130,7 @@ def test_a_file_at_its_speed_comes_when_it_is_due_and_shows_its_latency(film: Pa
         assert len(samples) == FRAMES
         assert took > (FRAMES - 1) / RATE / 4.0
         assert source.latency_s >= 0.004
-        assert source.detection_s >= 0.004
+        assert source.examination.detection_s >= 0.004
 
 
 def test_a_detector_that_is_too_slow_for_a_file_is_told_of(film: Path) -> None:
@@ -154,7 +153,7 @@ def test_of_a_webcam_the_newest_image_is_examined_and_the_others_are_counted(sta
             samples += polled(source, 1)
             told += source.notices()
         now = time.monotonic()
-        assert source.dropped >= 30
+        assert source.examination.dropped >= 30
         assert 0.03 <= source.latency_s < DEADLINE
     (sentence,) = told
     assert "not examined" in sentence

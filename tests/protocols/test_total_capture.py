@@ -200,7 +200,7 @@ def test_the_json_has_settings_and_rows_and_the_tables_are_complete(measured: Fo
     assert content["headline"] == "Total Capture: 2 recordings measured, 4 FAILED."
     tables = content["tables"]
     assert list(tables) == ["by_take", "inertial_only", "ablation", "sixteen_joints", "state_of_data"]
-    incomplete = "INCOMPLETE, without: S1 acting3; S5 walking2."
+    incomplete = "INCOMPLETE, without: S1 acting3, S1 acting3 camera 1, S5 walking2"
     for name in list(tables)[:4]:
         assert any(note.startswith(incomplete) for note in tables[name]["notes"])
     state = {tuple(cells[:2]) for cells in tables["state_of_data"]["rows"]}
@@ -280,7 +280,7 @@ def test_a_take_without_sensors_has_the_modes_that_need_none(tmp_path: Path) -> 
     tables = tables_of(about, outcome)
     for name in ("by_take", "inertial_only", "ablation", "sixteen_joints"):
         (sentence,) = [note for note in tables[name].notes if note.startswith("INCOMPLETE")]
-        assert "S5 acting3 (sf2)" in sentence
+        assert "S5 acting3 camera 1 (sf2)" in sentence
     rows = tables["state_of_data"].rows
     (note,) = [str(cells[2]) for cells in rows if cells[0] == "S5 acting3 camera 1"]
     assert "sf2 and rtof are left out, without the sensors L_UpArm" in note
@@ -315,7 +315,7 @@ def test_detections_are_used_and_checked(root: Path, detections: Path, tmp_path:
     assert figures(outcome)[key] != figures(exact)[key]
     tables = tables_of(about, outcome)
     assert f"the detections in {detections.name}" in tables["by_take"].notes[0]
-    assert "S1 walking2 (camera 3)" in tables["by_take"].notes[1]
+    assert "S1 walking2 camera 3" in tables["by_take"].notes[1]
     assert outcome.done[key]["failed_checks"] == []
     failed = outcome.done["S1_walking2_cam2"]["failed_checks"]
     assert all("amera 2 is miscalibrated" in message for message in failed)

@@ -106,13 +106,7 @@ def test_a_part_in_which_nobody_is_seen_is_marked_and_written_like_the_others(
     def quantity(kind: str, item: str, value: list[float]) -> Quantity:
         return Quantity(kind, item, np.array(value), np.full(len(value), 0.01), np.full(len(value), 0.1), 0.99)
 
-    found = SelfCalibration(
-        (
-            quantity("delay", "video", [0.02]),
-            quantity("mounting", "LeftLeg", [0.05, 0.0, 0.0]),
-            quantity("camera tilt", "camera", [0.01, 0.0, 0.0]),
-        )
-    )
+    found = SelfCalibration((quantity("delay", "video", [0.02]), quantity("mounting", "LeftLeg", [0.05, 0.0, 0.0])))
     once = SetupEstimate(found, choices=Choices("yes"))
     monkeypatch.setattr(parts, "estimate_setup", lambda *_: once)
     seen = demo.video

@@ -224,8 +224,8 @@ def test_further_views_are_cleaned_resampled_lifted_and_fused(case: Case) -> Non
     lifter = case.lifter()
     two = case.changed(views=(late,)).prepare("rto", lifter)
     assert len(lifter.asked) == 2
-    (view,) = two.views
-    np.testing.assert_array_equal(view.times, two.keypoints.times)
+    (view,) = two.recording.views
+    np.testing.assert_array_equal(view.times, two.recording.video.times)
     assert view.seen[1:-1].all()
     # Both lifts are alike, so their mean is each of them.
     one = case.prepare("rto")
@@ -239,5 +239,5 @@ def test_another_person_in_a_view_is_left_out_and_named(case: Case) -> None:
     uv[15:20] += 400.0
     two = case.changed(views=(replace(video, uv_px=uv),)).prepare("rto")
     assert ["keypoints of view 1" in fault.what for fault in two.outliers] == [True]
-    assert not two.views[0].seen[15:20].any()
-    assert two.keypoints.seen.all()
+    assert not two.recording.views[0].seen[15:20].any()
+    assert two.recording.video.seen.all()

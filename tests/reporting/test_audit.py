@@ -20,8 +20,12 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import AuditResult, Grade, SectionVerdict, headline, section_verdict
-from rtof_kin.reporting.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
-from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.reporting.statistics import (
+    ReconstructionStatistics,
+    acceleration_residuals,
+    orientation_residuals,
+    reprojection_errors,
+)
 from rtof_kin.solve.solution import SolverStatus
 
 BODY = SkeletonModel.default()

@@ -12,7 +12,7 @@ import pytest
 from follow_support import visit_folders, walk_at
 from report_support import Page, folder_of
 
-from rtof_kin.clinical.follow_up import BandShares, FollowUp, Outcome, follow_up
+from rtof_kin.clinical.follow_up import FollowUp, Outcome, follow_up
 from rtof_kin.clinical.visits import Visit, trial
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
 from rtof_kin.reporting.audit_results import AuditResult
@@ -74,7 +74,7 @@ def test_a_plan_names_orders_and_declares(tmp_path: Path) -> None:
         'baseline = "after"\nby = "range"\nmeasures = ["right_knee_flexion"]\n'
         '[[visit]]\nfolder = "z"\nname = "before"\ndate = 2026-02-01\n'
         '[[visit]]\nfolder = "x"\nname = "after"\ndate = "2026-01-01"\n'
-        '[better]\nright_knee_flexion_range = "up"\n[bands]\nall_visits = 0.25\nvisit = 0.5\n'
+        '[better]\nright_knee_flexion_range = "up"\n'
     )
     read = read_visits(tmp_path)
     assert [(visit.name, visit.day) for visit in read.visits] == [
@@ -82,7 +82,6 @@ def test_a_plan_names_orders_and_declares(tmp_path: Path) -> None:
         ("after", date(2026, 1, 1)),
     ]
     assert read.baseline == 1
-    assert read.plan.shares == BandShares(0.25, 0.5)
     assert read.plan.better == {"right_knee_flexion_range": "up"}
     assert read.notes == ("Left out, as follow.toml does not list them: y",)
 
@@ -92,7 +91,7 @@ def test_a_plan_names_orders_and_declares(tmp_path: Path) -> None:
     [
         ('by = "cycles"', "Did you mean 'cycle'"),
         ('[better]\ngait_speed = "more"', "Known: up, down, zero"),
-        ("[bands]\nvisit = 1.5", "together are at most 1"),
+        ("[bands]\nvisit = 0.5", "bands"),
         ('[[visit]]\nname = "a"', "folder: missing"),
         ('[[visit]]\nfolder = "a"\ndate = "1.2.2026"', "2026-01-31"),
         ('basline = "a"', "baseline"),
@@ -198,7 +197,7 @@ def test_files_have_all_numbers(found: FollowUp, tmp_path: Path) -> None:
     speed = next(row for row in rows if row["measure"] == "gait_speed" and row["visit"] == "2026-03-01")
     own = next(one for one in found.measures if one.measure.name == "gait_speed")
     assert float(speed["value"]) == pytest.approx(own.estimates[1], rel=1e-5)
-    assert float(speed["sem_both"]) == pytest.approx(own.errors.both.sem, rel=1e-5)
+    assert float(speed["sem_both"]) == pytest.approx(own.errors.both.sigma, rel=1e-5)
     knee = next(row for row in rows if row["measure"] == "right_knee_flexion_range")
     angle = next(one for one in found.measures if one.measure.name == "right_knee_flexion_range")
     assert float(knee["value"]) == pytest.approx(np.degrees(angle.estimates[0]), rel=1e-5)
@@ -223,4 +222,3 @@ def test_the_page_is_well_formed_and_loads_nothing(found: FollowUp, tmp_path: Pa
 def test_plain_data_say_what_each_error_contains(found: FollowUp) -> None:
     texts = document(found).plain()["definitions"]
     assert list(texts) == ["SEM, bands", "SEM, repeats", "SEM, both", "MDC95"]
-    assert "100 % of their variance counts as common to the trials of a visit" in texts["SEM, bands"]

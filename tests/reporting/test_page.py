@@ -145,7 +145,6 @@ def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path
 def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
     settings = {
         "space": "cartesian",
-        "backend": "ipopt",
         "energy": "as printed",
         "frames": 20,
         "lifter": "perfect",
@@ -163,7 +162,7 @@ def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
         "2026-01-31",
         "perfect, from the image alone",
         "Outlier rejection off",
-        "cartesian space, ipopt, energy: as printed; 20 frames a fragment",
+        "cartesian space, energy: as printed; 20 frames a fragment",
     ):
         assert text in recording
 

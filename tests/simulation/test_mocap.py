@@ -281,28 +281,11 @@ def test_fast_motion_of_the_body_and_flipped_segments_are_cut_out():
         assert [len(piece.poses) for piece in pieces] == lengths, joint
 
 
-@pytest.mark.parametrize("path", [WALK, DATA / "16_15.amc"])
-def test_a_motion_mapped_in_blocks_is_that_of_the_whole(path, monkeypatch):
-    whole = mocap.read_mocap(path)
-    monkeypatch.setattr(mocap, "_BLOCK", 7)
-    blocks = mocap.read_mocap(path)
-    np.testing.assert_array_equal(blocks.poses.p_world_joint, whole.poses.p_world_joint)
-    np.testing.assert_array_equal(blocks.poses.R_world_bone, whole.poses.R_world_bone)
-    np.testing.assert_array_equal(blocks.poses.times, whole.poses.times)
-    np.testing.assert_array_equal(blocks.joint_offsets, whole.joint_offsets)
-
-
-def test_rest_poses_longer_than_a_block_are_left_out(tmp_path, monkeypatch):
-    """After the one artificial frame of the family, rest poses follow."""
+def test_rest_poses_after_the_artificial_frame_are_left_out(tmp_path):
     lines = WALK.read_text().splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
-    count = len(lines) - first
-    lines[first - 2] = f"Frames: {count + 9}"
+    lines[first - 2] = f"Frames: {len(lines) - first + 9}"
     rest = " ".join("0" for _ in lines[first].split())
-    longer = [*lines[: first + 1], *([rest] * 9), *lines[first + 1 :]]
-    (tmp_path / WALK.name).write_text("\n".join(longer))
-    whole = mocap.read_mocap(tmp_path / WALK.name)
-    monkeypatch.setattr(mocap, "_BLOCK", 4)
-    blocks = mocap.read_mocap(tmp_path / WALK.name)
-    np.testing.assert_array_equal(blocks.poses.R_world_bone, whole.poses.R_world_bone)
-    np.testing.assert_array_equal(whole.poses.R_world_bone, mocap.read_mocap(WALK).poses.R_world_bone)
+    (tmp_path / WALK.name).write_text("\n".join([*lines[: first + 1], *([rest] * 9), *lines[first + 1 :]]))
+    longer, usual = (mocap.read_mocap(path).poses for path in (tmp_path / WALK.name, WALK))
+    np.testing.assert_array_equal(longer.R_world_bone, usual.R_world_bone)

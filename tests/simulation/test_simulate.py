@@ -16,13 +16,14 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import GRAVITY_WORLD, ImuSequence
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.cameras import read_camera
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.mocap import MocapClip, read_mocap
@@ -478,7 +479,7 @@ def test_files_are_recognised_and_hold_what_was_recorded(tmp_path: Path, demo: R
     seen = read_detector_keypoints(found.keypoints, camera).keypoints
     np.testing.assert_allclose(seen.select(demo.video.names).uv_px, demo.video.uv_px, atol=1e-2)
 
-    imus = ImuSequence.joined(read_sensor_log(found.sensors).imus())
+    imus = imus_of_log(read_sensor_log(found.sensors))
     np.testing.assert_allclose(imus.times - imus.times[0], demo.imus.times - demo.imus.times[0], atol=2e-6)
     assert imus.times[0] - demo.imus.times[0] > 30  # a clock of their own
     assert so3.angle_between(imus.R_inertial_sensor, demo.imus.R_inertial_sensor).max() < 1e-6

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import planted
 import pytest
@@ -30,7 +29,6 @@ SETTINGS = {
     "default": CartesianSettings(),
     "plain squares, no visual": CartesianSettings(k_V=0.0, huber_reprojection=None),
     "printed": CartesianSettings.paper(),
-    "constraint": CartesianSettings(bone_lengths="constraint"),
     "prior on positions": CartesianSettings(prior="positions"),
 }
 
@@ -100,9 +98,9 @@ def central_differences(f: Callable[[Array], Array], x: Array, step: float) -> A
     return np.stack(columns, axis=-1)
 
 
-def hessian(problem: FragmentProblem, x: Array, p: Array, lam_g: Any = ()) -> Array:
-    """The full symmetric matrix that IPOPT is given, of the energy's Lagrangian."""
-    upper = np.array(problem.solver.get_function("nlp_hess_l")(x, p, 1.0, ca.DM(lam_g)))
+def hessian(problem: FragmentProblem, x: Array, p: Array) -> Array:
+    """The full symmetric matrix that IPOPT is given."""
+    upper = np.array(problem.solver.get_function("nlp_hess_l")(x, p, 1.0, []))
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
@@ -151,28 +149,6 @@ def test_visual_hessian_is_exact_for_zero_residuals_and_positive() -> None:
     np.testing.assert_allclose(hessian(problem, flat(X), p), peer, atol=1e-5 * np.abs(peer).max())
 
 
-def test_constraints_are_squared_distances_and_enter_hessian_and_lagrangian() -> None:
-    problem = problem_of(SETTINGS["constraint"])
-    X, values = fragment(problem, seed=4)
-    p = problem.pack(values)
-    a, b = np.array(problem.pairs).T
-    squared = np.sum((X[:, b] - X[:, a]) ** 2, axis=-1) - values["lengths"] ** 2
-    g = np.array(problem.constraints(flat(X), p)).ravel()
-    np.testing.assert_allclose(g, squared.ravel(), atol=1e-12)
-    lam = np.random.default_rng(0).normal(size=len(g)) * 1e3
-
-    def force(x: Array) -> Array:
-        return np.array(problem.constraint_gradient(x, p, lam)).ravel()
-
-    def work(x: Array) -> Array:
-        return np.asarray(lam @ np.array(problem.constraints(x, p)).ravel())
-
-    np.testing.assert_allclose(force(flat(X)), central_differences(work, flat(X), 1e-5), rtol=1e-6, atol=1e-4)
-    added = hessian(problem, flat(X), p, lam) - hessian(problem, flat(X), p, 0 * lam)
-    peer = central_differences(force, flat(X), 1e-4)
-    np.testing.assert_allclose(added, peer, atol=1e-5 * np.abs(peer).max())
-
-
 def test_a_problem_without_sensors_has_no_inertial_terms() -> None:
     problem = fragment_problem(SKELETON.parents, N, (), CartesianSettings())
     assert problem.parameters["a_world"].shape == (0, N - 2)
@@ -202,7 +178,7 @@ def test_rigid_pairs_have_constant_distances() -> None:
     "change, message",
     [
         ({"jerk_target": "imu"}, "jerk_target: 'imu' is none of zero, sensor"),
-        ({"bone_lengths": "fixed"}, "bone_lengths: 'fixed' is none of weighted, constraint, free"),
+        ({"bone_lengths": "fixed"}, "bone_lengths: 'fixed' is none of weighted, free"),
         ({"prior": "root"}, "prior: 'root' is none of bones, positions"),
         ({"padding": "zeros"}, "padding: 'zeros' is none of masked, replicate"),
         ({"k_V": -0.1}, "k_V must not be negative"),

@@ -124,19 +124,6 @@ def test_weighted_lengths_are_kept_to_millimetres(scene: Scene, solution: Fragme
     assert {f.infeasibility for f in free.fragments} == {0.0}
 
 
-def test_constrained_lengths_are_kept_in_every_fragment() -> None:
-    s = Scene(BODY, 20)
-    solver = Inspected(BODY, 8, replace(DEFAULT, bone_lengths="constraint"))
-    solution = solver.solve(s.start, s.seen, s.imus)
-    assert solution.status is SolverStatus.CONVERGED
-    for answer, report in zip(solver.answers, solution.fragments, strict=True):
-        assert np.abs(length_errors(answer, BODY)).max() < 1e-6
-        assert report.infeasibility < 1e-7
-        assert report.optimality < 1e-5
-        assert report.energy["length"] == 0.0
-    assert np.abs(length_errors(solution.poses.p_world_joint, BODY)).max() < 0.005
-
-
 def test_unobserved_joints_and_frames_are_bridged(scene: Scene) -> None:
     seen = planted.unseen(scene.seen, slice(20, 32))
     seen = planted.unseen(seen, slice(None), BODY.index("LeftHand", "Head"))

@@ -1,4 +1,4 @@
-"""Fragment solvers of either space: choice of the space, refused input, streaming and progress."""
+"""Fragment solvers of either space: choice of the space, refused input and progress."""
 
 from __future__ import annotations
 
@@ -118,8 +118,6 @@ def test_sensor_without_a_place_is_refused(scene: Scene, space: str) -> None:
 def test_start_and_keypoints_need_the_same_times(scene: Scene, solver: FragmentSolver) -> None:
     with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
         solver.solve(scene.start[:20], scene.seen[1:21])
-    with pytest.raises(InvalidInputError, match="start and keypoints: must have the same times"):
-        next(solver.stream(scene.start[:20], scene.seen[1:21]))
 
 
 def changed(array: Array, where: Any, by: float) -> Array:
@@ -193,18 +191,6 @@ def test_progress_is_reported_after_every_fragment(scene: Scene, solver: Fragmen
     assert reports == [(i + 1, count) for i in range(count)]
     assert [f.first_frame for f in solution.fragments] == [4 * i - 4 for i in range(count)]
     np.testing.assert_array_equal(solution.poses.times, scene.start.times[:frames])
-
-
-def test_the_stream_gives_the_poses_of_the_solution(scene: Scene, solver: FragmentSolver) -> None:
-    start, seen, imus = scene.start[:18], scene.seen[:18], scene.imus[:18]
-    whole = solver.solve(start, seen, imus).poses
-    blocks = list(solver.stream(start, seen, imus))
-    assert [len(block) for block in blocks] == [4, 4, 4, 4, 2]
-    for field in ("times", "p_world_joint", "provenance", "valid", "orientation_observed"):
-        joined = np.concatenate([getattr(block, field) for block in blocks])
-        np.testing.assert_array_equal(joined, getattr(whole, field), err_msg=field)
-    R = np.concatenate([block.R_world_bone for block in blocks])
-    np.testing.assert_allclose(R, whole.R_world_bone, atol=1e-12)
 
 
 def test_equal_calls_give_equal_results(scene: Scene, solver: FragmentSolver) -> None:

@@ -36,13 +36,9 @@ def lifted(truth: Motion) -> PoseSequence:
 
 
 def refine(
-    poses: PoseSequence,
-    imus: BoneImuSequence | None = None,
-    threshold: float | None = None,
-    blend_angle: float | None = None,
-    oriented: bool = False,
+    poses: PoseSequence, imus: BoneImuSequence | None = None, threshold: float | None = None, oriented: bool = False
 ) -> PoseSequence:
-    ik = InertialGuidedIK(SKELETON, InertialGuidedIKSettings(threshold, blend_angle))
+    ik = InertialGuidedIK(SKELETON, InertialGuidedIKSettings(threshold))
     return ik.refine(poses, imus, poses.R_world_bone if oriented else None)
 
 
@@ -176,24 +172,7 @@ def test_sensors_are_resampled_to_the_frames() -> None:
     np.testing.assert_allclose(resampled.p_world_joint, direct.p_world_joint, atol=1e-9)
 
 
-def test_blending_is_continuous(truth: Motion) -> None:
-    wrong = np.linspace(0.2, 0.4, 41)
-    poses = truth.poses[:1]
-    imus = sensors(truth, ("LeftLeg",))[:1]
-
-    def direction(a: float, **how: float) -> Array:
-        out = refine(poses, turned(imus, a), **how)
-        return np.asarray(bone_directions(out, "LeftLeg")[0])
-
-    def largest_step(**how: float) -> float:
-        steps = np.diff([direction(a, **how) for a in wrong], axis=0)
-        return float(np.linalg.norm(steps, axis=-1).max())
-
-    assert largest_step(threshold=0.3) > 0.25
-    assert largest_step(blend_angle=0.3) < 0.01
-
-
-@pytest.mark.parametrize("wrong", [{"threshold": -0.1}, {"threshold": np.nan}, {"blend_angle": 0.0}])
+@pytest.mark.parametrize("wrong", [{"threshold": -0.1}, {"threshold": np.nan}, {"sigma_sensor": 0.0}])
 def test_invalid_settings_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidInputError, match=next(iter(wrong))):
         InertialGuidedIKSettings(**wrong)

@@ -27,16 +27,13 @@ BODY = SkeletonModel.default()
 FRAMES = 12
 SETTINGS = JointSpaceSettings(floor_height=0.0, sigma_floor=0.03, compile="never")
 OPEN = {
-    "delay": {"sigma_delay": 0.05, "sigma_clock_drift": 0.01},
-    "heading": {"sigma_heading": 0.1, "sigma_heading_drift": 0.05},
+    "delay": {"sigma_delay": 0.05},
+    "heading": {"sigma_heading": 0.1},
     "mounting": {"sigma_swing": 0.05, "sigma_twist": 0.1},
-    "lever arm": {"sigma_lever_arm": 0.02},
     "bones": {"sigma_size": 0.05, "sigma_proportion": 0.03},
     "image bias": {"sigma_image_bias": 6.0},
-    "place": {"sigma_place": 0.02},
-    "focal length": {"sigma_focal": 0.02},
-    "camera tilt": {"sigma_tilt": 0.02},
     "ankle height": {"sigma_ankle_height": 0.03},
+    "posture": {"sigma_posture": 0.1},
 }
 """Kind -> what leaves it open."""
 NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {"sigma_twist": 0.1}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,9 +41,9 @@ class Inspected(FragmentSolver):
 
 
 class Scene:
-    """A motion, its observations with or without gaps, and an initial guess."""
+    """A motion, its observations, and an initial guess."""
 
-    def __init__(self, skeleton: SkeletonModel, frames: int, seed: int = 0, gappy: bool = False) -> None:
+    def __init__(self, skeleton: SkeletonModel, frames: int, seed: int = 0) -> None:
         joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
         self.truth: Motion = planted.moving(skeleton, frames, 3 * seed)
         self.p = self.truth.poses.p_world_joint
@@ -52,11 +51,6 @@ class Scene:
         self.imus = planted.bone_imus(skeleton, self.truth.poses, joints, 4.0, 0.4, 11 + seed)
         self.lifted = planted.lifted_poses(self.truth)
         self.start = InertialGuidedIK(skeleton).refine(self.lifted, self.imus)
-        if gappy:
-            self.seen = planted.unseen(planted.unseen(self.seen, slice(3, 7)), slice(None), [2, 5])
-            R, a = np.array(self.imus.R_world_bone), np.array(self.imus.a_world)
-            R[:6, 0], a[4:, 1], R[8, 2], a[2, 3] = np.nan, np.nan, np.nan, np.nan
-            self.imus = replace(self.imus, R_world_bone=R, a_world=a)
 
 
 def gaps(rng: np.random.Generator, weight: Array) -> Array:

@@ -17,13 +17,6 @@ def whereabouts(_: int) -> tuple[int, str | None]:
     return os.getpid(), os.environ.get("OMP_NUM_THREADS")
 
 
-def period(seconds: float) -> tuple[float, float]:
-    """Begin and end on the clock that all processes share."""
-    began = time.monotonic()
-    time.sleep(seconds)
-    return began, time.monotonic()
-
-
 def die(tries: tuple[Path, int]) -> int:
     """Be killed the first so many times."""
     log, times = tries

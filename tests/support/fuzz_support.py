@@ -42,11 +42,10 @@ from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_moti
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
 from rtof_kin.formats.gait_reference import read_gait_reference, write_gait_reference
-from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
 from rtof_kin.formats.opensim import read_opensim_table, write_mot
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.formats.sensors.mvnx import read_mvnx_file
+from rtof_kin.formats.sensors.mvnx import read_mvnx
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import inspect
@@ -54,8 +53,7 @@ from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.mocap import read_corpus as read_mocap_corpus
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.landmark_regression import read_gaussian
-from rtof_kin.vision.layouts import detector_table, read_detector_table
+from rtof_kin.vision.layouts import detector_table
 
 DATA = Path(__file__).parents[1] / "fixtures"
 Files = Mapping[str, bytes]
@@ -265,7 +263,6 @@ READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
     written("motion.h5", "motion.h5", lambda p: write_motion(p, motion()), Motion.load),
-    written("joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()), read_joint_trajectory_csv),
     given(
         "object npz",
         "a.npz",
@@ -351,8 +348,6 @@ READERS = (
         "gait reference", "a.json", lambda p: write_gait_reference(p, gait_support.means_only()), read_gait_reference
     ),
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
-    given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
-    given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     # --- learning
@@ -370,7 +365,7 @@ READERS = (
     given("inspect a.yml", "a.yml", OPENCV, inspect),
     Reader("inspect a.csv", lambda: sensor_file("plain CSV"), lambda d: inspect(d / "trial.csv")),
     written("inspect take", "take", _take, inspect),
-    Reader("MVNX", lambda: sensor_file("Xsens MVNX"), lambda d: read_mvnx_file(d / "trial.mvnx")),
+    Reader("MVNX", lambda: sensor_file("Xsens MVNX"), lambda d: read_mvnx(d / "trial.mvnx")),
 )
 
 

@@ -27,7 +27,6 @@ from rtof_kin.core.errors import RtofError
 QUICK = TrainConfig(
     windows=288,
     batch=48,
-    threads=1,
     channels=12,
     skeletons=0,
     report_every=1,
@@ -37,11 +36,7 @@ QUICK = TrainConfig(
     same_windows=True,
     augment=replace(plain(), mirror=0.5, sensors=SensorConfig()),
 )
-CONFIGS = {
-    "same": QUICK,
-    "own": replace(QUICK, same_windows=False),
-    "baseline": replace(QUICK, model="videopose3d", learning_rate=1e-3, windows=240),
-}
+CONFIGS = {"same": QUICK, "own": replace(QUICK, same_windows=False)}
 
 
 def refuse() -> None:

@@ -15,7 +15,7 @@ from scene_support import measured, walking, written
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.view.local_server import address, local_server
 from rtof_kin.view.static_page import write_static_page
-from rtof_kin.view.viewer import MotionFiles, MotionViewer
+from rtof_kin.view.viewer import MotionViewer, motion_files
 
 pytest.importorskip("viser")
 INSIDE = ("data:", "blob:")
@@ -51,7 +51,7 @@ def complaints(page: BrowserPage) -> list[str]:
 
 def test_written_page_opens_from_the_disk_and_asks_for_nothing(out: Path, page: BrowserPage, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
-    with MotionFiles(out) as files, local_server() as server:
+    with motion_files(out) as files, local_server() as server:
         made = write_static_page(server, files, path, rate_hz=10.0, start=2.0, stop=3.0)
     assert (made.frames, made.thinned) == (11, False)
     assert made.size_mb == pytest.approx(path.stat().st_size / 1e6)
@@ -77,7 +77,7 @@ def test_written_page_opens_from_the_disk_and_asks_for_nothing(out: Path, page: 
 
 
 def test_served_page_shows_the_motion_and_asks_its_own_server_only(out: Path, page: BrowserPage) -> None:
-    with MotionFiles(out) as files, local_server() as server, MotionViewer(server, files) as viewer:
+    with motion_files(out) as files, local_server() as server, MotionViewer(server, files) as viewer:
         page.errors.clear()
         page.requests.clear()
         page.open(f"{address(server)}?fixedDpr=0.2")
@@ -100,7 +100,7 @@ def test_served_page_shows_the_motion_and_asks_its_own_server_only(out: Path, pa
 
 def test_long_motion_is_thinned_out_or_refused_and_files_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
-    with MotionFiles(written(tmp_path / "out", walking(60, shaking=0.1))) as files:
+    with motion_files(written(tmp_path / "out", walking(60, shaking=0.1))) as files:
         with local_server() as server:
             whole = write_static_page(server, files, path, rate_hz=80.0)
         assert whole.rate_hz == pytest.approx(50)  # that of the motion, although more was allowed

@@ -25,8 +25,8 @@ from rtof_kin.view.curves import AngleBlocks, Curves
 from rtof_kin.view.layers import solid_colours
 from rtof_kin.view.legend import COLOURS, Rgb
 from rtof_kin.view.local_server import local_server
-from rtof_kin.view.motion_scene import Layer, MotionScene
-from rtof_kin.view.viewer import MotionFiles, MotionViewer, Opened
+from rtof_kin.view.motion_scene import MotionScene
+from rtof_kin.view.viewer import MotionViewer, Opened, motion_files
 
 pytest.importorskip("viser")
 FRAMES = 120
@@ -46,7 +46,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def files(out: Path) -> Iterator[Opened]:
     second = walking(FRAMES // 2, start=2.4)
-    with MotionFiles(out, written(out.parent / "b", second)) as opened:
+    with motion_files(out, written(out.parent / "b", second)) as opened:
         yield opened
 
 
@@ -64,16 +64,18 @@ def scene(server: Any, files: Opened) -> Iterator[MotionScene]:
 
 
 def test_all_parts_are_there_and_can_be_hidden(scene: MotionScene) -> None:
-    assert set(scene.layers) == set(Layer)
-    for layer in Layer:
-        if layer not in (Layer.IMAGE, Layer.CAMERAS, Layer.DETECTED, Layer.REPROJECTED):
-            scene.set_visible(layer, False)
-            assert [handle.visible for handle in scene.layers[layer]] == [False] * len(scene.layers[layer])
-            scene.set_visible(layer, True)
-    scene.set_visible(Layer.DETECTED, False)
-    assert not scene.cameras[0].points["detected"].visible
-    assert scene.cameras[0].points["reprojected"].visible
-    scene.set_visible(Layer.DETECTED, True)
+    assert len(scene.layers) == 12
+    for label, handle in (
+        ("segments", scene.person.body.handle),
+        ("95 % ellipsoids", scene.person.ellipsoids),
+        ("floor", scene.stage.floor),
+        ("detected points", scene.cameras[0].points["detected"]),
+    ):
+        scene.layers[label](False)
+        assert not handle.visible
+        assert scene.cameras[0].points["reprojected"].visible
+        scene.layers[label](True)
+        assert handle.visible
     assert scene.stage.height == pytest.approx(0.02)
 
 
@@ -178,7 +180,7 @@ def test_measurements_of_another_motion_are_refused(server: Any, out: Path, tmp_
     motion = walking(60)
     other = written(tmp_path / "c", motion)
     (other / "measurements.h5").write_bytes((out / "measurements.h5").read_bytes())
-    with MotionFiles(other) as opened, pytest.raises(InvalidInputError, match="120 frames, the motion 60"):
+    with motion_files(other) as opened, pytest.raises(InvalidInputError, match="120 frames, the motion 60"):
         MotionScene(server, opened.motion, opened.measurements)
 
 
@@ -304,7 +306,7 @@ def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_pa
 def test_several_cameras_have_their_own_frustum_and_view(server: Any, tmp_path: Path) -> None:
     motion = walking(20)
     with (
-        MotionFiles(written(tmp_path / "two", motion, measured(motion, cameras=2))) as opened,
+        motion_files(written(tmp_path / "two", motion, measured(motion, cameras=2))) as opened,
         MotionViewer(server, opened) as viewer,
     ):
         assert [layer.label.text for layer in viewer.scene.cameras] == ["camera 1", "camera 2"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import planted
 import pytest
@@ -11,23 +9,13 @@ from detector_support import LAYOUTS
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
-from rtof_kin.vision.image_points import (
-    ImagePoints,
-    detector_points,
-    harmonics,
-    image_points,
-    measurements,
-    read_detector_points,
-)
+from rtof_kin.vision.image_points import ImagePoints, detector_points, harmonics, image_points, measurements
 from rtof_kin.vision.layouts import detector_table
 
 BODY = SkeletonModel.default()
 POSES = planted.human(BODY, 5).poses
 CAMERA = planted.camera()
-TABLE = model_path("detector_points.toml").read_text(encoding="utf-8")
 
 
 def points(layout: str, body: SkeletonModel = BODY) -> ImagePoints:
@@ -94,20 +82,3 @@ def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
     assert measurements(seen.landmarks, BODY).names == (*BODY.names, "Nose")
     assert seen.detector_points.names == names[2:]
     assert measurements(seen, SkeletonModel.human36m()).detector_points.names == ()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("size_mm = 14", "", "the field 'size_mm' is missing"),
-        ("[74.4, 0, 25.8]", "[74.4, 0]", "is not an array of shape"),
-        ("independent = 0.26", 'independent = "a"', "not of the right kind"),
-    ],
-)
-def test_a_damaged_table_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "points.toml"
-    path.write_text(TABLE.replace(old, new, 1))
-    with pytest.raises(FileFormatError, match=message):
-        read_detector_points(path, "mediapipe33")
-    with pytest.raises(UnknownNameError, match="layout"):
-        read_detector_points(path, "nobody")

@@ -1,18 +1,13 @@
-"""The table of detectors' layouts, and errors of a damaged one."""
+"""The table of detectors' layouts."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 from detector_support import LAYOUTS
 
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.resources import model_path
-from rtof_kin.vision.layouts import Layout, detector_table, mirrored, own, read_detector_table
-
-TEXT = model_path("detectors.toml").read_text(encoding="utf-8")
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.vision.layouts import Layout, detector_table, mirrored, own
 
 
 @pytest.mark.parametrize(
@@ -76,24 +71,14 @@ def test_named_points_are_found_in_any_order(layout: str) -> None:
     assert form.order(names[1:]) is None
 
 
-@pytest.mark.parametrize(
-    "before, after, message",
-    [
-        ('name = "Nose"\njoint', "joint", "the field 'name' is missing"),
-        ('joint = "Head"', 'joint = "Haed"', "joint in .*Haed"),
-        ("offset_mm = [103, 0, 5]", "offset_mm = [103, 0]", "no point x, y, z"),
-        ("offset_mm = [103, 0, 5]", 'offset_mm = "far"', "not of the right kind"),
-        ('names = [\n    "Nose", "Neck"', 'names = [\n    "Nose", "Nose"', "body25: Nose stands"),
-        ('Neck = "ShoulderCentre"', 'Neck = "Collar"', "point in .*Collar"),
-        ('name = "HeadTop"\njoint', 'name = "Nose"\njoint', "Nose stands there twice"),
-        ("[seen_by]", "[seen_by]\nTail = []", "landmark in .*Tail"),
-        ("[naive]", "naive", "not readable as TOML"),
-    ],
-)
-def test_a_broken_table_is_refused_by_name(before: str, after: str, message: str, tmp_path: Path) -> None:
-    assert before in TEXT
-    path = tmp_path / "detectors.toml"
-    path.write_text(TEXT.replace(before, after, 1), encoding="utf-8")
-    with pytest.raises((FileFormatError, UnknownNameError), match=message) as caught:
-        read_detector_table(path)
-    assert str(path) in str(caught.value)
+def test_every_name_of_the_table_is_known_and_none_stands_twice() -> None:
+    table, skeleton = detector_table(), SkeletonModel.default()
+    points = [point.name for point in table.points]
+    for names in (points, *(layout.points for layout in table.layouts.values())):
+        assert len(set(names)) == len(names)
+    assert {point.joint for point in table.points} <= set(skeleton.names)
+    assert set(table.seen_by) <= set(skeleton.landmarks)
+    used = {name for layout in table.layouts.values() for name in layout.points}
+    used |= {name for names in table.seen_by.values() for name in names}
+    assert used <= {*points, *map(own, skeleton.landmarks)}
+    assert {np.shape(point.offset) for point in table.points} == {(3,)}

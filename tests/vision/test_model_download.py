@@ -172,13 +172,6 @@ def test_the_shipped_sets_have_checksums_licences_and_secure_addresses() -> None
         model_set("rtmpos")
 
 
-@pytest.mark.parametrize("text", ["set = 1", "[[set]]\nname = 'x'", "[[set]]\nneeds = []\nfile = [{}]"])
-def test_an_incomplete_table_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / "sets.toml").write_text(text)
-    with pytest.raises(FileFormatError, match="sets.toml: an entry is incomplete or of the wrong kind"):
-        model_sets(tmp_path / "sets.toml")
-
-
 def test_the_command_fetches_only_when_asked_and_shows_the_licence(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,6 @@ from rtof_kin.vision.video_metadata import (
     find_phone,
     lens_prior,
     phone_table,
-    read_phone_table,
     read_video_metadata,
 )
 
@@ -192,18 +191,3 @@ def test_every_phone_of_the_table_has_a_phones_field_of_view() -> None:
     for phone in phone_table():
         assert 55 < math.degrees(2 * math.atan(0.5 / phone.focal)) < 78
         assert 0.02 <= phone.sigma <= 0.1
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "phone = 3",
-        "[[phone]]\nmake = 'A'",
-        "[sources.s]\ntitle = 't'\nsigma = 1\nk1 = 0\nsigma_k1 = 0\n"
-        "[[phone]]\nmake = 'A'\nmodels = ['x']\nsource = 's'\nfocal = 30",
-    ],
-)
-def test_an_incomplete_table_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / "phones.toml").write_text(text)
-    with pytest.raises(FileFormatError, match="phones.toml: an entry is incomplete or of the wrong kind"):
-        read_phone_table(tmp_path / "phones.toml")

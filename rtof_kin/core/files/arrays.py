@@ -7,8 +7,8 @@ in a header has been compared with the bytes in the file.
 from __future__ import annotations
 
 import csv
-import io
 import math
+import sys
 import tempfile
 import warnings
 import zipfile
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, WritingError
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
+from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
 
 _UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
 """Archives above this size with a higher compression ratio are refused."""
@@ -68,6 +68,7 @@ def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
 LARGEST_BYTES = 4 * 2**30  #: Default limit of the total size of the arrays, bytes
 _LARGEST_CSV = 2**30
 _MOST_AXES = 32
+_WAITING_IN_MEMORY = 2**20  #: [bytes] of a `WaitingArray` without a file
 _CSV = "a CSV file; its first line names the columns"
 
 
@@ -105,12 +106,13 @@ def npz_names(path: Path) -> tuple[str, ...]:
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
-    shapes = {}
     with _open_npz(path) as archive:
-        for name, member in array_members(path, archive).items():
-            with archive.open(member) as stream:
-                shapes[name] = read_npy_header(stream)[0]
-    return shapes
+        return {name: _shape(path, name, archive, member) for name, member in array_members(path, archive).items()}
+
+
+def _shape(path: Path, name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[int, ...]:
+    with archive.open(member) as stream:
+        return _checked_header(path, name, stream, member.file_size, "fiub")[0]
 
 
 def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
@@ -122,13 +124,11 @@ def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
         check_sizes(path, list(members.values()), math.inf)
         with archive.open(members[name]) as stream:
             shape, fortran, dtype = _checked_header(path, name, stream, members[name].file_size, "fiub")
-            if fortran or not shape:
-                yield _as_floats(path, name, _read_data(path, name, stream, shape, fortran, dtype))
-                return
-            for start in range(0, shape[0], rows):
-                block = (min(rows, shape[0] - start), *shape[1:])
-                yield _as_floats(path, name, _read_data(path, name, stream, block, False, dtype))
-            stream.read()  # the end, at which the checksum is compared
+            whole = fortran or not shape
+            for start in [0] if whole else range(0, max(shape[0], 1), rows):
+                block = shape if whole else (min(rows, shape[0] - start), *shape[1:])
+                yield _as_floats(path, name, _read_data(path, name, stream, block, fortran, dtype))
+            _check_end(path, name, stream, shape)
 
 
 @contextmanager
@@ -173,9 +173,14 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
 def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -> NDArray[Any]:
     shape, fortran, dtype = _checked_header(path, name, stream, size, kinds)
     array = _read_data(path, name, stream, shape, fortran, dtype)
+    _check_end(path, name, stream, shape)
+    return array
+
+
+def _check_end(path: Path, name: str, stream: IO[bytes], shape: tuple[int, ...]) -> None:
+    """Check that there are no more bytes; of an archive's member, the checksum is compared here."""
     if stream.read(1):
         raise FileFormatError(path, f"{name}: damaged, it has more bytes than its shape {shape} needs")
-    return array
 
 
 def _checked_header(
@@ -224,51 +229,43 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 
 
 def read_csv(path: Path) -> dict[str, Array]:
-    """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
-    `FileFormatError`: no such file, no header, a line of another length, a cell that is not a number.
-    """
-    text = read_text(path, _CSV, _LARGEST_CSV)
-    (columns,) = _tables(path, io.StringIO(text, newline=""), None)
+    """Return the columns of `csv_blocks` as a whole."""
+    (columns,) = csv_blocks(path, sys.maxsize)
     return columns
 
 
 def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
-    """Yield the columns that `read_csv` returns by blocks of rows, at least one block; errors are those of
-    `read_csv`.
+    """Yield the columns of a comma-separated file with a header line by blocks of rows, at least one block; an empty
+    cell or ``nan`` is NaN. `FileFormatError`: no such file, no header, a line of another length, a cell that is not a
+    number.
     """
     try:
-        check_file(path, _CSV)
+        check_file(path, _CSV, _LARGEST_CSV)
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            yield from _tables(path, stream, rows)
+            lines = csv.reader(stream)
+            header = _header(path, lines)
+            numbers = (_numbers(path, lines.line_num, header, cells) for cells in lines if cells)
+            first = True
+            while (block := list(islice(numbers, rows))) or first:
+                first = False
+                table = np.array(block, dtype=np.float64).reshape(len(block), len(header))
+                columns = dict(zip(header, np.ascontiguousarray(table.T), strict=True))
+                for name, column in columns.items():
+                    if not measurable(column):
+                        raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
+                yield columns
     except UnicodeDecodeError as error:
         raise FileFormatError(path, f"not a text file in UTF-8, so not {_CSV}") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
-
-
-def _tables(path: Path, stream: IO[str], rows: int | None) -> Iterator[dict[str, Array]]:
-    """Yield the columns of so many rows at a time, at least once; None: of all."""
-    lines = csv.reader(stream)
-    try:
-        header = _header(path, lines)
-        numbers = (_numbers(path, lines.line_num, header, cells) for cells in lines if cells)
-        first = True
-        while (block := list(islice(numbers, rows))) or first:
-            first = False
-            table = np.array(block, dtype=np.float64).reshape(len(block), len(header))
-            columns = dict(zip(header, np.ascontiguousarray(table.T), strict=True))
-            for name, column in columns.items():
-                if not measurable(column):
-                    raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
-            yield columns
     except csv.Error as error:
         raise FileFormatError(path, f"not a readable CSV file: {error}") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
 
 
 def _header(path: Path, lines: Iterator[list[str]]) -> list[str]:
     header = [name.strip() for name in next(lines, [])]
     if not any(header):
-        raise FileFormatError(path, "empty; its first line names the columns", 1)
+        raise FileFormatError(path, f"empty; expected {_CSV}", 1)
     if len(header) == 1 and ";" in header[0]:
         raise FileFormatError(path, "separated by ';'; write commas and decimal points", 1)
     double = sorted(name for name, count in Counter(header).items() if count > 1)
@@ -291,42 +288,34 @@ def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list
     return row
 
 
-# --- arrays that wait on the disk ----------------------------------------------------------------
+class WaitingArray:
+    """Rows (T, ...) float64, appended by blocks and read when needed; in a temporary file if they are many."""
 
+    def __init__(self, row: tuple[int, ...]) -> None:
+        """Take the shape of a row."""
+        self.shape: tuple[int, ...] = (0, *row)
+        """Shape of the array."""
+        self._file = tempfile.SpooledTemporaryFile(_WAITING_IN_MEMORY)  # noqa: SIM115
 
-class ScratchArrays:
-    """Arrays in temporary files, appended by blocks and read by rows; the system removes them with the process."""
-
-    def __init__(self) -> None:
-        self.shapes: dict[str, tuple[int, ...]] = {}
-        """Shape of each array."""
-        self._files: dict[str, IO[bytes]] = {}
-
-    def append(self, arrays: Mapping[str, Array]) -> None:
-        """Write further rows (n, ...) float64 by name; `WritingError` where they cannot be written."""
+    def append(self, rows: Array) -> None:
+        """Write further rows (n, ...); `WritingError` where they cannot be written."""
         try:
-            for name, array in arrays.items():
-                if name not in self._files:
-                    self._files[name], self.shapes[name] = tempfile.TemporaryFile(), (0, *array.shape[1:])  # noqa: SIM115
-                self._files[name].seek(0, 2)
-                np.ascontiguousarray(array, dtype=np.float64).tofile(self._files[name])
-                self.shapes[name] = (self.shapes[name][0] + len(array), *array.shape[1:])
+            self._file.seek(0, 2)
+            self._file.write(np.ascontiguousarray(rows, dtype=np.float64).tobytes())
         except OSError as error:
             raise WritingError(
                 f"{tempfile.gettempdir()}: temporary arrays cannot be written ({error}); make room, or name "
                 "another folder in the environment variable TMPDIR"
             ) from error
+        self.shape = (self.shape[0] + len(rows), *rows.shape[1:])
 
-    def rows(self, name: str, rows: slice) -> Array:
-        """Return consecutive rows of an array."""
-        length, *row = self.shapes[name]
+    def __getitem__(self, rows: slice) -> Array:
+        length, *row = self.shape
         start, stop, _ = rows.indices(length)
-        size = math.prod(row)
-        stream = self._files[name]
-        stream.seek(8 * start * size)
-        return np.fromfile(stream, np.float64, (stop - start) * size).reshape(stop - start, *row)
+        size = 8 * math.prod(row)
+        self._file.seek(start * size)
+        return np.frombuffer(self._file.read((stop - start) * size)).reshape(stop - start, *row)
 
     def close(self) -> None:
-        """Remove the files."""
-        for stream in self._files.values():
-            stream.close()
+        """Forget the rows."""
+        self._file.close()

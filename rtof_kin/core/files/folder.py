@@ -34,7 +34,6 @@ from filelock import FileLock, Timeout
 from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError, too_long
 from rtof_kin.core.files.manifest import (
     MANIFEST,
-    Contents,
     make_folders,
     make_private,
     read_contents,
@@ -199,7 +198,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
     if not path.is_dir():
         raise OutputExistsError(f"{path}: is a file; name a folder")
     try:
-        found = _contents(path)
+        found = read_contents(path)
     except OSError as error:
         raise RtofError(f"{path}: cannot be read ({error}); choose another folder") from error
     if not (found.own or found.foreign):
@@ -236,40 +235,16 @@ def _check_place(path: Path, remedy: str) -> None:
 
 def _put_folder(new: Path, path: Path, marker: str, overwrite: bool) -> None:
     """Rename a folder, or exchange it with an earlier one and remove that."""
-    while True:
-        try:
-            os.rename(new, path)  # replaces only an empty folder
-            return
-        except OSError:
-            if not (new.exists() and os.path.lexists(path)):
-                raise
+    if path.is_dir() and not os.listdir(path):
+        path.rmdir()  # Windows does not rename over a folder
+    try:
+        os.rename(new, path)
+    except OSError:
+        if not os.path.lexists(path):
+            raise
         check_replaceable(path, marker, overwrite)
-        with suppress(FileNotFoundError):  # another run is replacing it
-            if not any(path.iterdir()):
-                path.rmdir()  # Windows does not rename over a folder
-                continue
-            _exchange(new, path)
-            _remove_replaced(new, path)
-            return
-
-
-def _contents(path: Path) -> Contents:
-    """Return the contents of one folder, even while other runs replace it."""
-    while True:
-        before = _identity(path)
-        if before is None:
-            return Contents("", (), ())
-        with suppress(FileNotFoundError):
-            found = read_contents(path)
-            if _identity(path) == before:
-                return found
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    with suppress(FileNotFoundError):
-        found = path.lstat()
-        return found.st_dev, found.st_ino
-    return None
+        _exchange(new, path)
+        _remove_replaced(new, path)
 
 
 def _exchange(new: Path, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Engine of worker processes on this machine: one thread each, warm, and no more than the memory holds.
+"""Engine of worker processes on this machine: one thread each, warm, and no more than the memory held at the start.
 
 A worker that is killed loses its own job only: a pool of the standard library, or of joblib, gives up all of its
 jobs then. The job is tried once more when all others are done, alone, since most processes are killed for want of
@@ -12,7 +12,6 @@ import multiprocessing
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,11 +22,9 @@ from typing import Any, Final
 from rtof_kin.core.environment import VARIABLES
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.jobs.engine import Ended, ended, usable_cores
-from rtof_kin.core.jobs.memory import available_memory, resident_memory, total_memory
+from rtof_kin.core.jobs.memory import available_memory, total_memory
 
 _GB: Final = 1e9
-_POLL: Final = 1.0  # [s] between two looks at the memory
-_REMIND: Final = 60.0  # [s] between two messages that the memory is not enough
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _log = logging.getLogger(__name__)
 _Job = tuple[str, Any]
@@ -39,7 +36,7 @@ class Processes:
 
     workers: int | None = None  #: Most of them; None: one per core that this process may use
     memory_per_job: float = 0.0
-    """[bytes] that one job needs with its process. None starts while less is available; 0: not looked at."""
+    """[bytes] that one job needs with its process: as many run at once as are available then; 0: not looked at."""
     jobs_per_worker: int = 200  #: A worker that has done as many is replaced by a new one
 
     def __post_init__(self) -> None:
@@ -119,26 +116,21 @@ class _Pool:
 
     def __init__(self, settings: Processes, function: Callable[[Any], Any]):
         self.settings, self.function, self.most = settings, function, settings.workers or usable_cores()
-        if settings.memory_per_job and (total := total_memory()) is not None:
-            self.most = max(1, min(self.most, int(total // settings.memory_per_job)))
+        if settings.memory_per_job and (available := available_memory()) is not None:
+            self.most = max(1, min(self.most, int(available // settings.memory_per_job)))
         self.idle: list[_Worker] = []
         self.busy: list[_Worker] = []
-        self._reminded = -_REMIND
 
     def run(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
-        waiting = list(islice(jobs, 1))
-        while waiting or self.busy:
-            while waiting and len(self.busy) < self.most and self._memory_is_enough():
+        while True:
+            for job in islice(jobs, self.most - len(self.busy)):
                 worker = self.idle.pop() if self.idle else _Worker(self.function)
                 self.busy.append(worker)
-                worker.give(waiting.pop())
-                waiting = list(islice(jobs, 1))
+                worker.give(job)
             if not self.busy:
-                time.sleep(_POLL)
-                continue
-            held_back = waiting and len(self.busy) < self.most
-            ready = wait([worker.connection for worker in self.busy], _POLL if held_back else None)
+                return
+            ready = wait([worker.connection for worker in self.busy])
             for worker in [worker for worker in self.busy if worker.connection in ready]:
                 self.busy.remove(worker)
                 lost, answer = worker.take()
@@ -147,27 +139,6 @@ class _Pool:
                 else:
                     self.idle.append(worker)
                 yield lost, answer
-
-    def _memory_is_enough(self) -> bool:
-        """Return whether the memory is enough for one more job when those that run have all they need."""
-        need, available = self.settings.memory_per_job, available_memory()
-        if not need or available is None:
-            return True
-        own = _memory_of(self.idle[-1]) if self.idle else 0
-        if available - sum(max(0.0, need - _memory_of(worker)) for worker in self.busy) >= need - own:
-            return True
-        if not self.busy:  # idle ones are warm, but hold memory
-            _end(self.idle)
-            if time.monotonic() - self._reminded >= _REMIND:
-                self._reminded = time.monotonic()
-                _log.warning(
-                    "waiting for memory: a job needs %.1f GB, and %.1f GB are available", need / _GB, available / _GB
-                )
-        return False
-
-
-def _memory_of(worker: _Worker) -> int:
-    return resident_memory(worker.process.pid or 0)
 
 
 @contextmanager

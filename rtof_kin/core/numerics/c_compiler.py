@@ -1,16 +1,12 @@
 """CasADi functions as machine code in a cache; interpreted where there is no C compiler.
 
-Cache folder of shared libraries, shared by all processes of a user. Beside each library is a record with the SHA-256 of
-its bytes, its source and its compiler. A library that differs from its record (truncated, exchanged, of another source)
-is compiled again. Nothing is loaded from a folder that another user could write to; `trusted` returns a private folder
-instead.
+Cache folder of shared libraries, shared by all processes of a user; the name of each has the SHA-256 of its source,
+options and processor, and its compiler. Nothing is loaded from a folder or file that another user could write to.
 """
 
 from __future__ import annotations
 
-import atexit
 import hashlib
-import json
 import logging
 import os
 import platform
@@ -18,11 +14,8 @@ import shutil
 import stat
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,146 +25,10 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.files.manifest import sync
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.resources import cache_folder
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Source and compiler of a library."""
-
-    source: str  #: SHA-256 of everything that determines the C source and the options
-    compiler: str  #: Name and version
-
-
-def trusted(folder: Path) -> Path:
-    """Return the cache folder, created if missing; if others can write to it, a private one and a warning."""
-    if not folder.exists():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-    doubt = _doubt(folder.resolve())
-    return folder if doubt is None else _private(folder, doubt)
-
-
-def kept(library: Path, source: str) -> bool:
-    """Return whether a library exists, matches its record and has this source. source: see `Origin`."""
-    try:
-        record = json.loads(_own_bytes(library.with_suffix(".json")))
-        sha256 = hashlib.sha256(_own_bytes(library)).hexdigest()
-        return bool(record["source"] == source and record["sha256"] == sha256)
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bool = False) -> None:
-    """Build a library and its record, unless another process has done so meanwhile; `again`: even if it matches its
-    record.
-    """
-    with _locked(library):
-        if kept(library, origin.source) and not again:
-            return
-        _remove_dead_builds(library)
-        build = library.with_suffix(".build")
-        build.mkdir(mode=0o700)
-        try:
-            made, record = build / library.name, build / "record.json"
-            write(made)
-            sha256 = hashlib.sha256(made.read_bytes()).hexdigest()
-            record.write_text(json.dumps({"sha256": sha256, **asdict(origin)}), encoding="utf-8")
-            for new, place in ((made, library), (record, library.with_suffix(".json"))):
-                new.chmod(0o700)
-                sync(new)
-                new.replace(place)  # atomic
-        finally:
-            shutil.rmtree(build, ignore_errors=True)
-
-
-def _locked(library: Path) -> AbstractContextManager[object]:
-    """Acquire the lock of a library; waiting is logged."""
-    lock = FileLock(library.with_suffix(".lock"), mode=0o600)
-    try:
-        return lock.acquire(timeout=0)
-    except Timeout:
-        _log.warning("another process compiles %s: waiting for it ...", library.name)
-        return lock.acquire()
-
-
-def _remove_dead_builds(library: Path) -> None:
-    """Remove leftovers of killed builds: of this library, and of others that are not locked."""
-    for left in library.parent.glob("*.build"):
-        try:
-            own = left.stem == library.stem
-            lock = FileLock(left.with_suffix(".lock"), timeout=0, mode=0o600)
-            with nullcontext() if own else lock:
-                shutil.rmtree(left, ignore_errors=True)
-        except Timeout:
-            pass  # being built
-
-
-def _own_bytes(path: Path) -> bytes:
-    """Return the contents of a file; raise OSError if other users can write to it."""
-    with path.open("rb") as file:
-        if _writable_by_others(os.fstat(file.fileno())):
-            raise PermissionError(f"{path}: others may write to it")
-        return file.read()
-
-
-# --- permissions ---------------------------------------------------------------------------------
-
-
-def _writable_by_others(status: os.stat_result) -> bool:
-    """Return whether anyone except this user and root may write."""
-    if sys.platform == "win32":  # access rights are not in these bits
-        return False
-    return status.st_uid not in (0, os.geteuid()) or bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
-
-
-def _doubt(folder: Path) -> str | None:
-    """Return why another user could put a library there; None if not possible."""
-    if _writable_by_others(folder.stat()):
-        return f"others may write to {folder} (chmod 700 it after a look at its contents, or delete it)"
-    for parent in folder.parents:
-        status = parent.stat()
-        if _writable_by_others(status) and not _sticky(status) and not _of_own_group(status):
-            return f"others may replace folders in {parent}"
-    return None
-
-
-def _sticky(status: os.stat_result) -> bool:
-    """Return whether users can replace only their own entries of a folder of this user or root."""
-    own = sys.platform == "win32" or status.st_uid in (0, os.geteuid())
-    return own and bool(status.st_mode & stat.S_ISVTX)
-
-
-def _of_own_group(status: os.stat_result) -> bool:
-    """Return whether a folder belongs to this user and its group has no other member."""
-    if sys.platform == "win32":
-        return True
-    import grp
-    import pwd
-
-    if status.st_uid != os.geteuid() or status.st_mode & stat.S_IWOTH:
-        return False
-    try:
-        user, group = pwd.getpwuid(os.geteuid()), grp.getgrgid(status.st_gid)
-    except KeyError:
-        return False
-    return group.gr_name == user.pw_name and {*group.gr_mem} <= {user.pw_name}
-
-
-@lru_cache
-def _private(folder: Path, doubt: str) -> Path:
-    """Return a folder of this process in place of an unsafe one."""
-    private = Path(tempfile.mkdtemp(prefix="rtof_kin_"))
-    atexit.register(shutil.rmtree, private, ignore_errors=True)
-    _log.warning(
-        "compiled code is not kept in %s: %s. It is compiled for this process alone; "
-        "set RTOF_KIN_CACHE to a folder of your own to keep it",
-        folder,
-        doubt,
-    )
-    return private
-
 
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
@@ -204,7 +61,7 @@ def built(
     try:
         with BUILDING:
             return _loaded(_identity(made_of, options), source, loaded, options, name)
-    except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+    except (OSError, RuntimeError, RtofError, subprocess.SubprocessError) as error:
         _log.warning("the energy could not be compiled (%s): it is interpreted, which is slower", error)
         _USED[name] = "interpreted"
         return None
@@ -219,34 +76,68 @@ def _loaded(
     identity: str, source: Callable[[], str], loaded: Callable[[Path], Built], options: tuple[str, ...], name: str
 ) -> Built:
     """Return the contents of a library, compiled if it is missing or cannot be loaded."""
-    given = cache_folder().absolute()
+    folder = cache_folder().absolute()
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
-    if compiler is None and not given.is_dir():
-        raise OSError("there is no C compiler")
-    folder = trusted(given)
     if compiler is None:  # accept the library of any compiler
         _USED[name] = "compiled before"
-        there = sorted(folder.glob(f"{name}_{identity[:24]}_*.so"))
-        if library := next((found for found in there if kept(found, identity)), None):
-            return loaded(library)
+        there = sorted(folder.glob(f"{name}_{identity}_*.so"))
+        if there and _is_own(there[0]):
+            _check_folder(folder)
+            return loaded(there[0])
         raise OSError("there is no C compiler")
-    origin = Origin(identity, _version(compiler))
-    _USED[name] = f"compiled by {origin.compiler}"
-    of_compiler = hashlib.sha256(origin.compiler.encode()).hexdigest()[:8]
-    library = folder / f"{name}_{identity[:24]}_{of_compiler}.so"
+    make_folders(folder)
+    _check_folder(folder)
+    version = _version(compiler)
+    _USED[name] = f"compiled by {version}"
+    library = folder / f"{name}_{identity}_{hashlib.sha256(version.encode()).hexdigest()[:8]}.so"
 
-    def write(made: Path) -> None:
-        if name == "energy":
-            _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
-        _compile(source(), made, compiler, options)
+    def compiled(again: bool) -> Built:
+        if again or not _is_own(library):
+            with _locked(library):
+                if again or not _is_own(library):  # else another process has compiled it meanwhile
+                    if name == "energy":
+                        _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
+                    library.unlink(missing_ok=True)
+                    with new_file(library, overwrite=True) as made:
+                        _compile(source(), made, compiler, options)
+        return loaded(library)
 
-    if not kept(library, identity):
-        make(library, origin, write)
     try:
-        return loaded(library)
+        return compiled(again=False)
     except (OSError, RuntimeError):  # built on another machine
-        make(library, origin, write, again=True)
-        return loaded(library)
+        return compiled(again=True)
+
+
+def _locked(library: Path) -> Any:
+    """Acquire the lock of a library; waiting is logged."""
+    lock = FileLock(library.with_suffix(".lock"), mode=0o600)
+    try:
+        return lock.acquire(timeout=0)
+    except Timeout:
+        _log.warning("another process compiles %s: waiting for it ...", library.name)
+        return lock.acquire()
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise OSError where another user could put a library into a folder."""
+    if sys.platform == "win32":  # access rights are not in the bits
+        return
+    doubtful = [] if _is_own(folder) else [folder]
+    for parent in folder.resolve().parents:
+        status = parent.stat()
+        open_to_all = status.st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH  # in /tmp, users replace their own
+        if open_to_all or status.st_uid not in (0, os.geteuid()):
+            doubtful.append(parent)
+    if doubtful:
+        raise OSError(f"others may write to {doubtful[0]}; set RTOF_KIN_CACHE to a folder of your own")
+
+
+def _is_own(path: Path) -> bool:
+    """Return whether a file or folder exists and no other user than root can write to it."""
+    if not path.exists() or sys.platform == "win32":
+        return path.exists()
+    status = path.stat()
+    return status.st_uid in (0, os.geteuid()) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def native() -> tuple[str, ...]:

@@ -26,26 +26,8 @@ from rtof_kin.core.files.text import read_text
 
 LARGEST_BYTES: Final = 2**20
 _SEPARATED: Final = re.compile(r"\s*[,;\t]\s*")
-_TITLES: Final = frozenset(
-    {
-        "serial",
-        "serial number",
-        "sensor",
-        "sensors",
-        "imu",
-        "id",
-        "device",
-        "tag",
-        "name",
-        "segment",
-        "joint",
-        "place",
-        "position",
-        "location",
-        "body",
-        "body part",
-        "bone",
-    }
+_TITLE: Final = re.compile(
+    "serial( number)?|sensors?|imu|id|device|tag|name|segment|joint|place|position|location|body( part)?|bone"
 )
 _Row = tuple[int | None, tuple[str, str]]  # a line's number; a sensor and its place
 _SHORTEST_END: Final = 3  #: Fewest characters of a serial number that name a sensor
@@ -79,7 +61,7 @@ def _of_lines(path: Path, text: str) -> list[_Row]:
         cells = [cell for cell in _SEPARATED.split(content) if cell]
         if len(cells) == 1:
             cells = content.split(maxsplit=1)
-        is_title = first and all(cell.lower() in _TITLES for cell in cells)
+        is_title = first and all(_TITLE.fullmatch(cell.lower()) for cell in cells)
         first = False
         if is_title:
             continue

@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.imu_stream import Declaration, SensorLog
+from rtof_kin.formats.channels import StreamChannels
 from rtof_kin.formats.sensors.readings import Readings, in_order, lost, sensor_log
 from rtof_kin.formats.sensors.sensor_text import (
     LONGEST_LINE,
@@ -42,8 +43,7 @@ from rtof_kin.formats.sensors.sensor_text import (
 )
 
 CSV_TITLE: Final = "plain CSV"
-_GROUPS: Final = {"f": "xyz", "w": "xyz", "m": "xyz", "q": "wxyz"}
-_ENDINGS: Final = tuple(f"_{kind}{axis}" for kind, axes in _GROUPS.items() for axis in axes)
+_ENDINGS: Final = (*(f"_{kind}{axis}" for kind in "fwm" for axis in "xyz"), "_qw", "_qx", "_qy", "_qz")
 
 
 def _is_header(names: Sequence[str]) -> bool:
@@ -57,27 +57,29 @@ def is_imu_csv(head: str) -> bool:
 
 def read_imu_csv(path: Path, **declared: Any) -> SensorLog:
     """Implement `files.Format.read`; a declared `rate_hz` replaces the column of times."""
-    declaration = Declaration().changed(**declared)
     table = read_table(path, _is_header, lambda name: True)
-    columns = [name for name in table.names if name != "time"]
-    for column in columns:
-        if column[-3:] not in _ENDINGS or len(column) == 3:
+    labels = [name for name in table.names if name != "time"]
+    for label in labels:
+        if label[-3:] not in _ENDINGS or len(label) == 3:
             known = "time, or a sensor's name and one of " + ", ".join(_ENDINGS)
-            raise FileFormatError(path, f"column {column!r}: expected {known}", 1)
-    times = _times(table, declaration.rate_hz)
-    readings = []
-    for name in dict.fromkeys(column[:-3] for column in columns):
-        f, w, m, q = (_group(table, f"{name}_{kind}", axes) for kind, axes in _GROUPS.items())
-        readings.append(Readings(name, times, f, w, m, q))
-    return sensor_log([path], CSV_TITLE, readings, declaration, (*table.notes, *lost(times)))
+            raise FileFormatError(path, f"column {label!r}: expected {known}", 1)
+    return _labelled(table, CSV_TITLE, labels, [""] * len(labels), declared)
 
 
-def _group(table: SensorTable, start: str, axes: str) -> Array | None:
-    """Return the columns of one group; None where all of them are absent."""
-    lacking = [start + axis for axis in axes if start + axis not in table.names]
-    if 0 < len(lacking) < len(axes):
-        raise FileFormatError(table.path, f"there is no column {', '.join(lacking)}", 1)
-    return None if lacking else table.columns(*(start + axis for axis in axes))
+def _labelled(
+    table: SensorTable, title: str, labels: Sequence[str], units: Sequence[str], declared: Mapping[str, Any]
+) -> SensorLog:
+    """Return the log of a table whose columns but `time` have labels and units of `formats.channels`."""
+    Declaration().changed(**declared)
+    try:
+        channels = StreamChannels.of(table.path.stem, labels, units, declared=declared)
+    except InvalidInputError as error:
+        raise FileFormatError(table.path, str(error), len(table.header) + 1) from error
+    times = _times(table, channels.declaration.rate_hz)
+    values = table.values[:, [i for i, name in enumerate(table.names) if name.lower() != "time"]]
+    readings = [sensor.readings(times, values) for sensor in channels.sensors]
+    notes = (*table.notes, *channels.notes, *lost(times))
+    return sensor_log([table.path], title, readings, channels.declaration, notes)
 
 
 def _times(table: SensorTable, rate_hz: float | None) -> Array:
@@ -85,7 +87,7 @@ def _times(table: SensorTable, rate_hz: float | None) -> Array:
     if rate_hz is not None:
         return np.arange(len(table.values)) / rate_hz
     if times is None:
-        raise FileFormatError(table.path, "no column time (s); add it, or declare rate_hz", 1)
+        raise FileFormatError(table.path, "no column time (s); add it, or declare rate_hz", len(table.header) + 1)
     wrong = np.flatnonzero(~(np.diff(times, prepend=-np.inf) > 0))
     if len(wrong):
         i = int(wrong[0])
@@ -111,12 +113,6 @@ def _times(table: SensorTable, rate_hz: float | None) -> Array:
 # other languages than English are not known. Joint angles and muscles' signals are ignored.
 
 NORAXON_TITLE: Final = "Noraxon CSV"
-_ACCELERATION, _RATE = "acceleration", "gyroscope"
-_UNITS: Final = {
-    _ACCELERATION: {"mG": "mg", "G": "g", "m/s^2": "m/s2", "m/s²": "m/s2"},
-    _RATE: {"deg/s": "deg/s", "°/s": "deg/s", "rad/s": "rad/s"},
-}
-"""Spelling of a unit in the file -> in a declaration."""
 _SEGMENT: Final = r"(?P<segment>[^-,()]+?)"
 _SIDE: Final = r"(?: (?P<side>[LR]T))?"
 _FORMS: Final = tuple(
@@ -128,15 +124,6 @@ _FORMS: Final = tuple(
 )
 
 
-class _Column(NamedTuple):
-    """Meaning of a column."""
-
-    sensor: str
-    kind: str
-    axis: int
-    unit: str
-
-
 def is_noraxon(head: str) -> bool:
     """Implement `files.Format.recognise`."""
     return any(_is_noraxon_header(cells(line)) for line in head.splitlines()[:8])
@@ -146,72 +133,22 @@ def _is_noraxon_header(names: Iterable[str]) -> bool:
     return any(_meaning(name) is not None for name in names)
 
 
-def _meaning(name: str) -> _Column | None:
-    """Return what a column holds; None for one that is not read."""
+def _meaning(name: str) -> tuple[str, str] | None:
+    """Return the label of a column in words of `formats.channels`, and its unit; None for one that is not read."""
     found = next((match for form in _FORMS if (match := form.fullmatch(name.strip()))), None)
     if found is None:
         return None
     parts = found.groupdict()
-    kind = _ACCELERATION if found["kind"].lower().startswith("accel") else _RATE
     side = (parts.get("before") or parts["side"] or "").upper()
-    unit = (found["unit"] if found["unit"] is not None else found["unit2"]).strip()
-    return _Column(f"{found['segment']} {side}".strip(), kind, "xyz".index(found["axis"].lower()), unit)
+    unit = (found["unit"] if found["unit"] is not None else found["unit2"]).strip() or "none"
+    return f"{found['segment']} {side}".strip() + f" {found['kind'].split()[0]} {found['axis']}", unit
 
 
 def read_noraxon(path: Path, **declared: Any) -> SensorLog:
     """Implement `files.Format.read`; a declared `rate_hz` replaces the column of times."""
     table = read_table(path, _is_noraxon_header, lambda name: name.lower() == "time" or bool(_meaning(name)), True)
-    columns = {name: found for name in table.names if (found := _meaning(name)) is not None}
-    own = Declaration(
-        acceleration_unit=_unit(path, columns, _ACCELERATION, "mg"),  # type: ignore[arg-type]
-        angular_unit=_unit(path, columns, _RATE, "deg/s"),  # type: ignore[arg-type]
-    )
-    declaration = own.changed(**declared)
-    times = _noraxon_times(table, declaration.rate_hz)
-    sensors = dict.fromkeys(column.sensor for column in columns.values())
-    readings = [
-        Readings(
-            name,
-            times,
-            acceleration=_vectors(table, columns, name, _ACCELERATION),
-            gyroscope=_vectors(table, columns, name, _RATE),
-        )
-        for name in sensors
-    ]
-    return sensor_log([path], NORAXON_TITLE, readings, declaration, (*table.notes, *lost(times)))
-
-
-def _unit(path: Path, columns: dict[str, _Column], kind: str, usual: str) -> str:
-    """Return the unit of all columns of a kind, in the words of a declaration."""
-    found = {column.unit: name for name, column in columns.items() if column.kind == kind}
-    units = {_UNITS[kind].get(unit): name for unit, name in found.items()}
-    if None in units:
-        known = ", ".join(_UNITS[kind])
-        raise FileFormatError(path, f"column {units[None]!r}: its unit is not one of {known}")
-    if len(units) > 1:
-        raise FileFormatError(path, f"columns {' and '.join(map(repr, units.values()))} have different units")
-    return next(filter(None, units), usual)
-
-
-def _vectors(table: SensorTable, columns: dict[str, _Column], sensor: str, kind: str) -> Array | None:
-    """Return one quantity of a sensor (T, 3); None where absent."""
-    named = {c.axis: name for name, c in columns.items() if (c.sensor, c.kind) == (sensor, kind)}
-    if not named:
-        return None
-    count = sum((c.sensor, c.kind) == (sensor, kind) for c in columns.values())
-    if len(named) < 3 or count > 3:
-        there = ", ".join(name for name, c in columns.items() if (c.sensor, c.kind) == (sensor, kind))
-        raise FileFormatError(table.path, f"{kind} of {sensor} needs x, y and z once each; there is {there}")
-    return table.columns(*(named[axis] for axis in range(3)))
-
-
-def _noraxon_times(table: SensorTable, rate_hz: float | None) -> Array:
-    if rate_hz is not None:
-        return np.arange(len(table.values)) / rate_hz
-    times = table.column("time")
-    if times is None:
-        raise FileFormatError(table.path, "no column time (s); export it, or declare rate_hz")
-    return times
+    labels, units = zip(*(found for name in table.names if (found := _meaning(name)) is not None), strict=True)
+    return _labelled(table, NORAXON_TITLE, labels, units, declared)
 
 
 # Folders of x-io Technologies' x-IMU3: a folder per sensor, a CSV per kind of message.

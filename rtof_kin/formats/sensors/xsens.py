@@ -113,7 +113,7 @@ def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
         if declaration.rate_hz is not None:
             one = _ordered(table, _COUNTER, WRAP_32, _LATEST_PACKETS)
             times = times[0] + (one.count - one.count[0]) / declaration.rate_hz
-        notes = (*table.notes, *one.notes, *lost(times, declaration.rate_hz or _dot_rate(table)))
+        notes = (*table.notes, *one.notes, *lost(times, declaration.rate_hz or _header_rate(table)))
         named = _DOT_NAME.fullmatch(table.path.stem)
         sensors.append(_readings(named[1] if named else table.path.stem, table, one, times, notes))
     first = int(np.argmin([one.times[0] for one in sensors]))
@@ -199,33 +199,22 @@ def _shifts(packets: Sequence[Packets], wrap: int) -> list[int]:
     return aligned([int(one.count[0]) for one in packets], wrap)
 
 
-def _header_rate(table: SensorTable) -> re.Match[str] | None:
-    return next((match for line in table.header if (match := _RATE.match(line.strip()))), None)
-
-
-def _common_rate(tables: Sequence[SensorTable]) -> float:
-    rates = []
-    for table in tables:
-        found = _header_rate(table)
-        if found is None:
-            raise FileFormatError(table.path, "has no line '// Update Rate: ... Hz'; declare rate_hz")
-        try:
-            rates.append(Declaration(rate_hz=float(found[1])).rate_hz or 0.0)
-        except ValueError as error:
-            raise FileFormatError(table.path, f"{found[0]!r}: {error}") from error
-        if rates[-1] != rates[0]:
-            problem = f"its rate is {rates[-1]:g} Hz and that of {tables[0].path.name} {rates[0]:g} Hz"
-            raise FileFormatError(table.path, problem + "; name files of one trial")
-    return rates[0]
-
-
-def _dot_rate(table: SensorTable) -> float | None:
-    """Return the header's rate, for counting lost packets; None where absent."""
-    found = _header_rate(table)
+def _header_rate(table: SensorTable) -> float | None:
+    """Return the header's rate, Hz; None where absent or impossible."""
+    found = next((match for line in table.header if (match := _RATE.match(line.strip()))), None)
     try:
         return None if found is None else Declaration(rate_hz=float(found[1])).rate_hz
     except ValueError:
         return None
+
+
+def _common_rate(tables: Sequence[SensorTable]) -> float:
+    rates = {rate: table.path for table in tables if (rate := _header_rate(table))}
+    if len(rates) != 1 or not all(map(_header_rate, tables)):
+        found = " and ".join(f"{rate:g} Hz in {path.name}" for rate, path in rates.items()) or "none"
+        problem = f"each file needs a line '// Update Rate: ... Hz' with the same rate, found {found}; declare rate_hz"
+        raise FileFormatError(tables[-1].path, problem)
+    return next(iter(rates))
 
 
 def _check_stamps(table: SensorTable, packets: Packets, rate: float) -> tuple[str, ...]:

@@ -8,16 +8,14 @@ set of sensors and angle; ``study.json`` the verdict and settings of the full se
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rtof_kin.core.errors import RtofError
 from rtof_kin.reporting.angle_names import label, side_and_name
-from rtof_kin.reporting.document import Cell, Document, Figure, Table, number, write_files
+from rtof_kin.reporting.document import Cell, Document, Figure, Table, number, subplots, write_files
 from rtof_kin.reporting.sensor_study.accuracy import SensorSet
 from rtof_kin.reporting.sensor_study.study import CLEARLY, LEAST_SEEN, TOLERANCE, SensorStudy, omitted
 
@@ -33,7 +31,6 @@ NO_ERROR: Final = (
 _COLUMNS: Final = "set sensors number angle difference_deg seen_share error_deg half_band_deg kept"
 COLUMNS: Final = tuple(_COLUMNS.split())
 _FIGURES: Final = ("figures/sensors.png", "figures/number.png")
-_SETTINGS: Final = "settings.json"  # written by `rtof_kin.core.jobs.open_runs`
 _LARGEST: Final = 20.0  # [deg] end of the colour scale
 
 
@@ -46,21 +43,6 @@ def remove_results(folder: str | Path) -> None:
     """Remove the results of an earlier study of a folder, so that none remain of a study that is not done."""
     for name in (TABLE, "study.json", *_FIGURES):
         (Path(folder) / name).unlink(missing_ok=True)
-
-
-@contextmanager
-def unused_removed(folder: Path) -> Iterator[None]:
-    """Remove the new folder of a study that fails before its first run is done."""
-    try:
-        yield
-    except RtofError:
-        runs = folder / "runs"
-        if not any(runs.iterdir()):
-            runs.rmdir()
-            (folder / _SETTINGS).unlink()
-            with suppress(OSError):  # results of an earlier study
-                folder.rmdir()
-        raise
 
 
 def document(study: SensorStudy, figures: bool = True) -> Document:
@@ -148,141 +130,98 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     """Return what was studied, the contribution of each sensor, the order of removal, and what each angle
     needs and does not need, to a tolerance of the RMS in rad.
     """
-    shown = [study.angles[a] for a in study.shown]
-    first = _scope(study), _meaning(study), _alone(study), _order(study, tolerance)
-    return [*first, *_chance(study), *_by_need(study, shown, tolerance)]
-
-
-def _scope(study: SensorStudy) -> str:
-    part = study.part
+    part, n = study.part, len(study.full.sensors)
     what = f"{part.seconds:.3g} s"
     if not part.is_whole:
         what = f"the {what} with the most movement (from {part.start:.0f} s) of {part.whole:.0f} s"
-    return (
-        f"Studied: {what} of {study.recording}. It is one recording of one person: other people and "
-        "movements may give other numbers, so repeat the study on several before a sensor is left out."
-    )
-
-
-def _meaning(study: SensorStudy) -> str:
-    if study.has_truth:
-        return "Numbers are RMS errors against the truth of this recording."
-    text = f"Numbers are RMS differences from the motion with all {len(study.full.sensors)} sensors. {NO_ERROR}"
-    half = study.full.half_band[np.isfinite(study.full.half_band)]
-    if not half.size:
-        return text
-    band = _deg(float(np.median(half)))
-    return f"{text} With all sensors the 95 % bands of the angles are +-{band} in the median."
-
-
-def _alone(study: SensorStudy) -> str:
-    """Which sensors matter when one alone is omitted."""
+    meaning = "Numbers are RMS errors against the truth of this recording."
+    if not study.has_truth:
+        meaning = f"Numbers are RMS differences from the motion with all {n} sensors. {NO_ERROR}"
+        half = study.full.half_band[np.isfinite(study.full.half_band)]
+        if half.size:
+            meaning += (
+                f" With all sensors the 95 % bands of the angles are +-{_deg(float(np.median(half)))} in the median."
+            )
     ranked = sorted(study.without, key=lambda found: found.loss)
-    chosen = {"most": ranked[-1], "least": ranked[0]} if len(ranked) > 1 else {"most": ranked[0]}
-    what = f"mean {'error' if study.has_truth else 'difference'} of {len(study.angles)} angles"
-    texts = []
-    for which, found in chosen.items():
-        value = f"{_deg(study.full.loss)} to {_deg(found.loss)}" if study.has_truth else _deg(found.loss)
-        texts.append(f"the {_place(study, found)} matters {which} ({value} +-{_scatter(study.full, found)})")
-    return (
-        f"Of sensors omitted alone, {' and '.join(texts)}: {what}, +- {CLEARLY:.0f} standard errors by the "
-        "scatter within this recording."
-    )
+    chosen = {"most": ranked[-1]} | ({"least": ranked[0]} if len(ranked) > 1 else {})
+    before = f"{_deg(study.full.loss)} to " if study.has_truth else ""
+    alone = [
+        f"the {_place(study, found)} matters {which} ({before}{_deg(found.loss)} "
+        f"+-{CLEARLY * np.degrees(study.full.scatter(found)):.1f})"
+        for which, found in chosen.items()
+    ]
+    return [
+        f"Studied: {what} of {study.recording}. It is one recording of one person: other people and "
+        "movements may give other numbers, so repeat the study on several before a sensor is left out.",
+        meaning,
+        f"Of sensors omitted alone, {' and '.join(alone)}: mean {'error' if study.has_truth else 'difference'} of "
+        f"{len(study.angles)} angles, +- {CLEARLY:.0f} standard errors by the scatter within this recording.",
+        _order(study, tolerance),
+        *_by_need(study, tolerance),
+    ]
 
 
 def _order(study: SensorStudy, tolerance: float) -> str:
-    """Order of removal, and what was not tried."""
-    gone = [
-        study.places[omitted(found, larger.sensors)] for larger, found in zip(study.path, study.path[1:], strict=False)
-    ]
-    n, tried = len(study.full.sensors), study.runs
-    kept = [int(study.kept(found, tolerance).sum()) for found in study.path]
-    counts = ", ".join(f"{len(found.sensors)}: {k}" for found, k in zip(study.path, kept, strict=True))
-    every = 2**n - (0 if study.camera else 1)
-    rest = (
-        "."
-        if tried == every
-        else (
-            f": {tried} of {every} possible sets were tried, and others of the same size may be as good or "
-            "better. That a sensor is removed late does not prove that it is needed."
-        )
-    )
-    return (
+    """Order of removal, what was not tried, and removals that could as well have been others."""
+    gone = [study.places[omitted(found, larger.sensors)] for larger, found in pairwise(study.path)]
+    counts = ", ".join(f"{len(found.sensors)}: {int(study.kept(found, tolerance).sum())}" for found in study.path)
+    text = (
         f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of {len(study.angles)} "
-        f"within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets of this order{rest}"
+        f"within {_deg(tolerance, 0)} by number of sensors: {counts}."
     )
-
-
-def _chance(study: SensorStudy) -> Iterator[str]:
-    """Removals that could as well have been others."""
-    others = {k: study.as_good(k) for k in range(len(study.steps))}
+    every = 2 ** len(study.full.sensors) - (0 if study.camera else 1)
+    if study.runs < every:
+        text += (
+            f" {study.runs} of {every} possible sets were tried, and others of the same size may be as good or better. "
+            "That a sensor is removed late does not prove that it is needed."
+        )
     undecided = [
-        f"{len(study.path[k + 1].sensors)} left: {', '.join(study.places[name] for name in names)}"
-        for k, names in others.items()
-        if names
+        f"{len(found.sensors)} left: {', '.join(study.places[name] for name in names)}"
+        for step, found in enumerate(study.path[1:])
+        if (names := study.as_good(step))
     ]
     if undecided:
-        yield (
-            "The order is partly chance: within the scatter, these at least could have been removed instead: "
+        text += (
+            " The order is partly chance: within the scatter, these at least could have been removed instead: "
             f"{'; '.join(undecided)}."
         )
+    return text
 
 
-def _by_need(study: SensorStudy, shown: list[str], tolerance: float) -> Iterator[str]:
-    """One sentence for each group of angles."""
-    groups: dict[str, list[str]] = {}
-    for name in shown:
-        groups.setdefault(_need(study, name, tolerance), []).append(name)
-    limit, least = _deg(tolerance, 0), study.path[-1].sensors
-    last = f"the {study.places[least[0]]}" if least else "the camera"
-    enough = f"{last[0].upper()}{last[1:]} is enough" if least else "No sensor is needed"
-    says = {
-        "none": f"{enough}, within {limit} in every set of the order down to {last} alone",
-        "several": f"No single sensor is needed, and these stay within {limit} in this order of removal",
-        "single": f"Beyond {limit} where one sensor alone is omitted, so that it is needed for this angle",
-        "slight": f"Within {limit} with all sensors and slightly beyond it without some single one (by a "
-        f"change of less than {_deg(LEAST_CHANGE, 0)})",
-        "still": f"These hardly move here (standard deviation under {limit}), so that being within {limit} says little",
-        "beyond": f"Beyond {limit} even with all {len(study.full.sensors)} sensors, so that this study "
-        "cannot say what they need",
-    }
-    for group, beginning in says.items():
-        if names := groups.get(group):
-            yield f"{beginning}: {_listed(study, group, names, tolerance)}."
-
-
-def _need(study: SensorStudy, name: str, tolerance: float) -> str:
-    """What an angle needs: 'none', 'several' sensors, a 'single' one, a single one for a 'slight' change; or
-    that it is 'beyond' the tolerance anyway or nearly 'still'.
-    """
-    a = study.angles.index(name)
-    kept = [bool(study.kept(found, tolerance)[a]) for found in study.path]
-    if not kept[0]:
-        return "beyond"
-    if _needed(study, a, tolerance):
-        return "single"
-    if not study.moved[a] > tolerance:
-        return "still"
-    if not all(study.kept(found, tolerance)[a] for found in study.without):
-        return "slight"
-    return "none" if all(kept) else "several"
-
-
-def _listed(study: SensorStudy, group: str, names: list[str], tolerance: float) -> str:
-    """The angles of a group with what belongs to it."""
-    index = [study.angles.index(name) for name in names]
-    if group in ("none", "still"):
-        return _both_sides(names)
-    if group == "single":
-        return "; ".join(f"{_named(study, a)} {_without(study, a, tolerance)}" for a in index)
-    if group in ("slight", "beyond"):
-        return ", ".join(_named(study, a) for a in index)
-    down: dict[int, list[str]] = {}
-    for name in names:
-        if (fewest := study.fewest(name, tolerance)) is not None:
-            down.setdefault(len(fewest.sensors), []).append(name)
-    sets = (f"{_both_sides(own)} down to {number}" for number, own in sorted(down.items()))
-    return f"{'; '.join(sets)} sensors"
+def _by_need(study: SensorStudy, tolerance: float) -> Iterator[str]:
+    """One sentence for each group of angles: those that need one sensor, none, that hardly move, or are beyond."""
+    limit, groups = _deg(tolerance, 0), dict[str, list[int]]()
+    for a in study.shown:
+        still = not study.moved[a] > tolerance
+        kept = study.kept(study.full, tolerance)[a]
+        group = "beyond" if not kept else "single" if _needed(study, a, tolerance) else "still" if still else "several"
+        groups.setdefault(group, []).append(a)
+    if own := groups.get("several"):
+        down: dict[int, list[str]] = {}
+        for a in own:
+            fewest = study.fewest(study.angles[a], tolerance) or study.full
+            down.setdefault(len(fewest.sensors), []).append(study.angles[a])
+        sets = "; ".join(f"{_both_sides(names)} down to {number}" for number, names in sorted(down.items()))
+        yield f"No single sensor is needed, and these stay within {limit} in this order of removal: {sets} sensors."
+    if own := groups.get("single"):
+        texts = []
+        for a in own:
+            without = []
+            for found in _needed(study, a, tolerance):
+                value = "unobserved" if found.seen[a] < LEAST_SEEN else _deg(float(study.measure(found)[a]))
+                without.append(f"{_place(study, found)} ({value})")
+            texts.append(f"{_named(study, a)} without {' or '.join(without)}")
+        what = f"Beyond {limit} where one sensor alone is omitted, so that it is needed for this angle"
+        yield f"{what}: {'; '.join(texts)}."
+    if own := groups.get("still"):
+        names = _both_sides([study.angles[a] for a in own])
+        yield f"These hardly move here (standard deviation under {limit}), so that it says little: {names}."
+    if own := groups.get("beyond"):
+        names = ", ".join(_named(study, a) for a in own)
+        yield (
+            f"Beyond {limit} even with all {len(study.full.sensors)} sensors, so that this study cannot say what they "
+            f"need: {names}."
+        )
 
 
 def _needed(study: SensorStudy, a: int, tolerance: float) -> list[SensorSet]:
@@ -302,29 +241,14 @@ def _named(study: SensorStudy, a: int) -> str:
     return f"{label(study.angles[a])}{error}"
 
 
-def _without(study: SensorStudy, a: int, tolerance: float) -> str:
-    """Sensors whose removal alone takes an angle beyond the tolerance, with its RMS."""
-    texts = []
-    for found in _needed(study, a, tolerance):
-        value = float(study.measure(found)[a])
-        seen = not found.seen[a] < LEAST_SEEN
-        texts.append(f"{_place(study, found)} ({_deg(value) if seen else 'unobserved'})")
-    return f"without {' or '.join(texts)}"
-
-
 def _place(study: SensorStudy, found: SensorSet) -> str:
     return study.places[omitted(found, study.full.sensors)]
-
-
-def _scatter(a: SensorSet, b: SensorSet) -> str:
-    return f"{CLEARLY * np.degrees(a.scatter(b)):.1f}"
 
 
 def _both_sides(names: list[str]) -> str:
     """Names of angles in words, one for both sides."""
     sides: dict[str, list[str]] = {}
-    for name in names:
-        side, rest = side_and_name(name)
+    for side, rest in map(side_and_name, names):
         sides.setdefault(rest, []).append(side)
     return ", ".join(
         label(rest) if len(own) > 1 or not own[0] else f"{own[0]} {label(rest)}" for rest, own in sides.items()
@@ -343,35 +267,26 @@ def worth_of_sensors(study: SensorStudy) -> Plot:
 
     Differences beyond the tolerance are bold.
     """
-    from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure as Plot
-
     rows = list(study.shown)
-    size = (4.0 + 0.85 * len(study.without), 2.3 + 0.28 * len(rows))
-    figure = Plot(figsize=size, layout="constrained")
-    ax = figure.subplots()
+    figure, axes = subplots(1, 1, (4.0 + 0.85 * len(study.without), 2.3 + 0.28 * len(rows)))
+    ax, limit = axes[0, 0], np.degrees(TOLERANCE)
     difference = np.degrees(np.stack([found.difference for found in study.without], axis=1)[rows])
     lost = np.stack([found.seen for found in study.without], axis=1)[rows] < LEAST_SEEN
-    seen = np.where(lost, np.nan, difference)
-    image = ax.imshow(seen, cmap="YlOrRd", vmin=0, vmax=_LARGEST, aspect="auto")
-    ax.imshow(np.where(lost, 0.0, np.nan), cmap=ListedColormap(["0.35"]), aspect="auto")
+    image = ax.imshow(np.where(lost, np.nan, difference), cmap="YlOrRd", vmin=0, vmax=_LARGEST, aspect="auto")
+    ax.imshow(np.where(lost, 0.35, np.nan), cmap="gray", vmin=0, vmax=1, aspect="auto")
     for (i, j), value in np.ndenumerate(difference):
         text = "unobserved" if lost[i, j] else "" if np.isnan(value) else f"{value:.1f}"
-        beyond = value > np.degrees(TOLERANCE)
-        colour = "white" if lost[i, j] or value > 0.6 * _LARGEST else "black" if beyond else "0.45"
-        weight = "bold" if beyond else "normal"
+        colour = "white" if lost[i, j] or value > 0.6 * _LARGEST else "black" if value > limit else "0.45"
+        weight = "bold" if value > limit else "normal"
         ax.text(j, i, text, ha="center", va="center", fontsize=7, color=colour, weight=weight)
     names = [f"{label(study.angles[a])} ({np.degrees(study.moved[a]):.0f})" for a in rows]
     ax.set_yticks(range(len(rows)), names, fontsize=8)
-    ax.set_ylabel("angle (its standard deviation in this recording [deg])")
     ax.set_xticks(range(len(study.places)), list(study.places.values()), rotation=30, ha="right", fontsize=8)
-    ax.set_xlabel("the one sensor that is omitted")
-    scale = "RMS difference from all sensors [deg]"
-    figure.colorbar(image, ax=ax, label=scale, extend="max", shrink=0.6)
-    limit = f"{np.degrees(TOLERANCE):.0f} deg"
+    ax.set(ylabel="angle (its standard deviation in this recording [deg])", xlabel="the one sensor that is omitted")
+    figure.colorbar(image, ax=ax, label="RMS difference from all sensors [deg]", extend="max", shrink=0.6)
     figure.suptitle(
         f"{study.recording}: how far each angle changes if one sensor is omitted\n"
-        f"(a change, not an error; bold: beyond {limit})",
+        f"(a change, not an error; bold: beyond {limit:.0f} deg)",
         fontsize=11,
     )
     return figure
@@ -381,26 +296,21 @@ def error_by_number(study: SensorStudy) -> Plot:
     """Plot the RMS of the angles against the number of sensors, one panel for each joint, and name the
     sensor that is removed at each step.
     """
-    from matplotlib.figure import Figure as Plot
-
     joints: dict[str, list[int]] = {}
     for a in study.shown:
-        joint = side_and_name(study.angles[a])[1].partition("_")[0]
-        joints.setdefault(joint, []).append(a)
+        joints.setdefault(side_and_name(study.angles[a])[1].partition("_")[0], []).append(a)
     columns = min(3, len(joints))
     lines = -(-len(joints) // columns)
-    figure = Plot(figsize=(4.6 * columns, 3.4 * lines), layout="constrained")
-    panels = figure.subplots(lines, columns, sharex=True, squeeze=False).ravel()
+    figure, axes = subplots(lines, columns, (4.6 * columns, 3.4 * lines), sharex=True)
     number = [len(found.sensors) for found in study.path]
     gone = [study.places[omitted(found, larger.sensors)] for larger, found in pairwise(study.path)]
     steps = [f"{n}\n{name.replace(' ', chr(10))}" for n, name in zip(number, ["", *gone], strict=True)]
     values = np.degrees(np.stack([study.measure(found) for found in study.path]))
     values[np.stack([found.seen for found in study.path]) < LEAST_SEEN] = np.nan
-    for ax, (joint, own) in zip(panels, joints.items(), strict=False):
+    for ax, (joint, own) in zip(axes.flat, joints.items(), strict=False):
         for a in own:
-            name, line = label(study.angles[a].replace(f"{joint}_", "")), "-"
-            if study.angles[a].startswith("left_"):
-                line = "--"
+            name = label(study.angles[a].replace(f"{joint}_", ""))
+            line = "--" if study.angles[a].startswith("left_") else "-"
             ax.plot(number, values[:, a], marker="o", ms=3, lw=1.2, label=name, ls=line)
         ax.axhline(np.degrees(TOLERANCE), color="0.5", lw=0.8, ls=":")
         ax.set_title(joint, fontsize=9)
@@ -411,11 +321,10 @@ def error_by_number(study: SensorStudy) -> Plot:
         ax.tick_params("x", labelbottom=True)
         ax.legend(fontsize=6, ncols=2 if len(own) > 6 else 1, framealpha=0.6)
         ax.grid(alpha=0.3)
-    for ax in panels[len(joints) :]:
+    for ax in axes.flat[len(joints) :]:
         ax.set_visible(False)
-    for ax in panels[max(0, len(joints) - columns) : len(joints)]:
-        ax.set_xlabel("number of sensors, and the one removed last", fontsize=8)
     what = "error against the truth" if study.has_truth else "difference from the full set (not an error)"
+    figure.supxlabel("number of sensors, and the one removed last", fontsize=8)
     figure.suptitle(
         f"{study.recording}: {what}; a line ends where the angle is unobserved\n"
         "(one order of removal: not all sets of the same size were tried, and others may be better)",

@@ -12,7 +12,7 @@ the printed energy (see `CartesianSettings`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import combinations
 from typing import Any, Final
 
@@ -30,9 +30,6 @@ Bones = tuple[tuple[int, int], ...]  #: (joint, child) of each bone
 Points = tuple[tuple[tuple[int, ...], PointTerm], ...]  #: Further residuals, each with its joints
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
 """Built-in terms; further ones are behind them."""
-LINEAR: Final = ("acceleration", "bone", "smooth", "prior")  #: Terms whose residuals are linear in the positions
-CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
-"""Parameters that the Hessian of the terms with linear residuals depends on."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +52,7 @@ class FragmentProblem:
         parameters: name -> shape of each parameter, in order.
         solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted). gradient: (x, p)
         -> dE/dx.
-        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms with linear residuals. slope: p
-        -> their gradient and value at the initial guess.
         terms: name -> residuals.
-        landmark, rigid_distance, elements: one element of the other terms: (positions, its observation, shared
-            parameters) -> value, gradient, Hessian.
-        constraints: (x, p) -> squared distances minus squared lengths, m^2, where lengths are equalities.
-        constraint_gradient: (x, p, lam_g) -> derivative of lam_g . constraints.
     """
 
     def __init__(
@@ -173,7 +164,7 @@ class FragmentProblem:
         values, hessian = [], ca.SX(x.numel(), x.numel())
         for name, term in self.terms.items():
             k = self.parameters["k"][TERMS.index(name)] if name in TERMS else 1
-            free = name == "length" and self.settings.bone_lengths != "weighted"
+            free = name == "length" and self.settings.bone_lengths == "free"
             if free or term.residual.numel() == 0:
                 values.append(ca.SX(0))
                 continue
@@ -188,105 +179,23 @@ class FragmentProblem:
         gradient = ca.gradient(energy, x)
         self.energy = ca.Function("energy", [x, p], [ca.vertcat(*values)], ["x", "p"], ["terms"])
         self.gradient = ca.Function("gradient", [x, p], [gradient], ["x", "p"], ["gradient"])
-        constraints = self._constraints()
-        self.constraints = ca.Function("constraints", [x, p], [constraints], ["x", "p"], ["g"])
-        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", constraints.numel())
-        by_constraints = ca.jtimes(constraints, x, lam_g, True)
-        self.constraint_gradient = ca.Function("constraint_gradient", [x, p, lam_g], [by_constraints])
-        lagrangian = lam_f * hessian
-        if constraints.numel():
-            lagrangian += ca.hessian(ca.dot(lam_g, constraints), x)[0]
-        self.curvature, self.slope = self._quadratic(x, p)
-        names = ["x", "p", "lam_f", "lam_g"]
-        upper = [ca.triu(lagrangian)]
+        names, lam_f, lam_g = ["x", "p", "lam_f", "lam_g"], ca.SX.sym("lam_f"), ca.SX.sym("lam_g", 0)
+        upper = [ca.triu(lam_f * hessian)]
         hess_lag = ca.Function("hess_lag", [x, p, lam_f, lam_g], upper, names, ["triu_hess_gamma_x_x"])
-        self.solver = ca.nlpsol(
-            "fragment", "ipopt", {"x": x, "p": p, "f": energy, "g": constraints}, self._options(hess_lag)
-        )
-
-    def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
-        """Quadratic form of the terms with linear residuals."""
-        value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
-        for name in LINEAR:
-            term, k = self.terms[name], self.parameters["k"][TERMS.index(name)]
-            if term.residual.numel() == 0:
-                continue
-            value += k * ca.dot(term.weight, term.residual**2)
-            J_r = ca.jacobian(term.residual, x)
-            hessian += ca.triu(2 * k * ca.mtimes(J_r.T, ca.diag(term.weight) @ J_r))
-        start = ca.vec(self.parameters["p_prior"])
-        there = ca.substitute(ca.vertcat(ca.gradient(value, x), value), x, start)
-        curved_by = ca.vertcat(*(ca.vec(self.parameters[name]) for name in CURVED_BY))
-        curvature = ca.Function("curvature", [curved_by], [hessian])
-        return curvature, ca.Function("slope", [p], [ca.densify(there[:-1]), ca.densify(there[-1])])
-
-    @cached_property
-    def landmark(self) -> Any:
-        """One landmark of the visual term: (p (3); u, v, weight; R, t, K, sigma, k)."""
-        p, own, shared = ca.SX.sym("p", 3), ca.SX.sym("own", 3), ca.SX.sym("shared", 23)
-        R, t, K = ca.reshape(shared[:9], 3, 3), shared[9:12], ca.reshape(shared[12:21], 3, 3)
-        r = energies.reprojection(R @ p + t, own[:2], K) / shared[21]
-        weight = ca.repmat(own[2], 2, 1)
-        value, curvature = _energy_and_curvature(_Term(r, weight, self.settings.huber_reprojection))
-        J, k = ca.jacobian(r, p), shared[22]
-        outputs = [k * value, k * ca.gradient(value, p), 2 * k * J.T @ ca.diag(curvature) @ J]
-        return ca.Function("landmark", [p, own, shared], [ca.densify(v) for v in outputs])
-
-    @cached_property
-    def rigid_distance(self) -> Any:
-        """One distance of the length term: (both ends (6); length, weight; k)."""
-        ends, own, k = ca.SX.sym("p", 6), ca.SX.sym("own", 2), ca.SX.sym("k")
-        r = energies.distance(ends[:3], ends[3:], own[0]) / self.settings.sigma_length
-        value = k * own[1] * r**2
-        hessian, gradient = ca.hessian(value, ends)
-        outputs = [ca.densify(v) for v in (value, gradient, hessian)]
-        return ca.Function("rigid_distance", [ends, own, k], outputs)
-
-    @cached_property
-    def elements(self) -> tuple[tuple[tuple[int, ...], PointTerm, Any], ...]:
-        """Joints of each further residual, and one element of it: (p (3 each); observation, weight; unused)."""
-        unused, count = ca.SX.sym("unused"), 3 * len(self.parents) * self.frames
-        found = []
-        for joints, term in self.points:
-            p, own = ca.SX.sym("p", 3 * len(joints)), ca.SX.sym("own", term.size + 1)
-            r = ca.sqrt(own[-1]) * term.at(ca.vertsplit(p, 3), own[:-1])
-            value, curvature = _energy_and_curvature(_Term(r, ca.SX.ones(r.numel()) / count, term.robust, r.numel()))
-            J = ca.jacobian(r, p)
-            outputs = [value, ca.gradient(value, p), 2 * J.T @ ca.diag(curvature) @ J]
-            function = ca.Function(term.observed, [p, own, unused], [ca.densify(v) for v in outputs])
-            found.append((joints, term, function))
-        return tuple(found)
-
-    def _constraints(self) -> Any:
-        """Squared distances minus squared lengths, m^2."""
-        if self.settings.bone_lengths != "constraint":
-            return ca.SX(0, 1)
-        rows = []
-        for i, (a, b) in enumerate(self.pairs):
-            bone = self._joint(b) - self._joint(a)
-            rows.append(ca.sum1(bone * bone) - self.parameters["lengths"][i] ** 2)
-        return ca.vec(ca.vertcat(*rows))
-
-    def _options(self, hess_lag: Any) -> dict[str, Any]:
-        return {
-            "hess_lag": hess_lag,
-            "print_time": False,
-            "show_eval_warnings": False,
-            "error_on_fail": False,
-            "calc_lam_p": False,
-            "calc_lam_x": False,
-            "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "linear_solver": "mumps",
-                "tol": self.settings.tolerance,
-                "max_iter": self.settings.max_iterations,
-                "mumps_scaling": 0,
-                "mumps_permuting_scaling": 0,
-                "mumps_pivot_order": 0,
-                "nlp_scaling_method": "none",
-            },
+        of_ipopt: dict[str, Any] = {
+            "print_level": 0,
+            "sb": "yes",
+            "linear_solver": "mumps",
+            "tol": self.settings.tolerance,
+            "max_iter": self.settings.max_iterations,
+            "mumps_scaling": 0,
+            "mumps_permuting_scaling": 0,
+            "mumps_pivot_order": 0,
+            "nlp_scaling_method": "none",
         }
+        quiet = dict.fromkeys(("print_time", "show_eval_warnings", "error_on_fail", "calc_lam_p", "calc_lam_x"), False)
+        programme = {"x": x, "p": p, "f": energy}
+        self.solver = ca.nlpsol("fragment", "ipopt", programme, {"hess_lag": hess_lag, "ipopt": of_ipopt, **quiet})
 
 
 def fragment_problem(

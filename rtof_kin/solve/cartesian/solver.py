@@ -16,20 +16,16 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
-from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import ContactPoints
-from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings, InitialGuess
 from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.solve.terms import PointData, PointTerm, check_observed, observed_rows
 
-_DECREASE: Final = 1e-4
-"""Tolerance of the real-time solver on the relative decrease, per tolerance of IPOPT on the gradient."""
 _NORMAL_MEDIAN: Final = 1.177  #: Median norm of a normal error in two dimensions, in standard deviations of an axis
 
 
@@ -56,7 +52,6 @@ class CartesianSolver:
             points = tuple((tuple(skeleton.index(*term.joints)), term) for term in terms)
             self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings, points)
             self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
-            self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
         self._one_at_a_time = threading.Lock()
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
         a, b = np.array(self._problem.pairs).T
@@ -135,47 +130,22 @@ class CartesianSolver:
         """One solution, with a report measured at the returned point."""
         problem, p = self._problem, self._problem.pack(values)
         began = perf_counter()
-        solve = self._ipopt if self._banded is None else self._real_time
-        x, status, iterations, lam_g = solve(x0, values, p)
-        seconds = perf_counter() - began
+        with BUILDING:
+            x = np.asarray(problem.solver(x0=x0, p=p)["x"]).ravel()
+            stats = problem.solver.stats()
+        seconds, status = perf_counter() - began, _status(stats["return_status"])
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
-        banded, g = self._banded, np.zeros(0)
-        gradient = self._gradient(x, p)[0] if banded is None else banded.gradient(banded.ordered(x))
-        if len(lam_g):
-            g = np.asarray(problem.constraints(x, p)).ravel()
-            gradient = gradient + np.asarray(problem.constraint_gradient(x, p, lam_g)).ravel()
         return x, FragmentReport(
             first_frame=first,
             status=status,
             energy=dict(zip(problem.terms, self._energy(x, p)[0].tolist(), strict=True)),
-            iterations=iterations,
+            iterations=int(stats["iter_count"]),
             seconds=seconds,
             sigma_reprojection=float(values["sigma_reprojection"][0]),
-            optimality=float(np.abs(gradient).max()),
-            infeasibility=float(np.abs(g).max(initial=0.0)),
+            optimality=float(np.abs(self._gradient(x, p)[0]).max()),
+            infeasibility=0.0,
         )
-
-    def _ipopt(self, x0: Array, _: dict[str, Array], p: Array) -> tuple[Array, SolverStatus, int, Array]:
-        """Positions, status, iterations, multipliers of the constraints."""
-        solver = self._problem.solver
-        bounds = 0.0 if self.settings.bone_lengths == "constraint" else ()
-        with BUILDING:
-            result = solver(x0=x0, p=p, lbg=bounds, ubg=bounds)
-            stats = solver.stats()
-        x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_g"))
-        return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
-
-    def _real_time(self, x0: Array, values: dict[str, Array], p: Array) -> tuple[Array, SolverStatus, int, Array]:
-        """Positions, status, iterations, no multipliers."""
-        assert self._banded is not None
-        self._banded.bind(values, p)
-        most, decrease = self.settings.max_iterations, _DECREASE * self.settings.tolerance
-        try:
-            solved = LevenbergMarquardt(self._banded).solve(self._banded.ordered(x0), most, decrease)
-        except SolverError:
-            return x0, SolverStatus.FAILED, 0, np.zeros(0)
-        return self._banded.positions(solved.x), SolverStatus.of(solved), solved.iterations, np.zeros(0)
 
     def _estimated_sigma(self, x: Array, values: dict[str, Array], sigma: float) -> float:
         """Twice the size of the reprojection residuals at x, px; `sigma` for fewer than 20 landmarks."""

@@ -252,17 +252,8 @@ class FragmentEnergy:
         first = self._as_square(len(matrix))
         first += np.tril(matrix)  # above the diagonal the view shows other columns: nothing is added there
 
-    def lower_block(self, k: int) -> Array:
-        """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
-        D, band, step = self.space.size, self._matrix.entries, self._matrix.step
-        r, c = np.indices((D, D))
-        place = k * D + r - c  # below the diagonal of the whole matrix
-        rows = band.reshape(self.frames, D, -1)[: self.frames - k, c, np.clip(place, 0, step)]
-        block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
-        return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
-
     def hessian(self) -> Array:
-        """Return the whole Hessian (N D, N D), for a few frames."""
+        """Return the whole Hessian (N D, N D)."""
         out = self._as_square(self._matrix.size) * _band_mask(self._matrix.size, self._matrix.band)
         diagonal = out.diagonal().copy()
         out += out.T

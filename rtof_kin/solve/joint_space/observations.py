@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array, Index, Mask
-from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.annealing import estimated_places
 from rtof_kin.solve.joint_space.energy import FrameEnergy
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
@@ -90,7 +88,7 @@ class Observations:
         named = [k.names for k in self.seen] or [()]
         self.points = joined_points([image_points(skeleton, names) for names in named])
         stops = np.cumsum([len(k.names) for k in self.seen]).tolist()
-        self._cameras = [(k.camera, part) for k, part in zip(self.seen, map(slice, [0, *stops], stops), strict=False)]
+        cameras = [(k.camera, part) for k, part in zip(self.seen, map(slice, [0, *stops], stops), strict=False)]
         self.active = _active(bone_imus)
         self.sensors = tuple(n for n in skeleton.names if n in self.active or n in places)
         self.sensed = sensor_data(self.times, low_passed(bone_imus, settings), self.sensors, settings)
@@ -101,7 +99,7 @@ class Observations:
         self.limits = Limits(self.space) if settings.limits else None
         self.start = self._initial_states()
         check_observed(terms, self.observed)
-        further = [part.stop - part.start for _, part in self._cameras[1:]]
+        further = [part.stop - part.start for _, part in cameras[1:]]
         built_in = built_in_terms(skeleton, self.space, settings, self.points, further, self.sensors, contact_points)
         sensors = tuple(map(skeleton.names.index, self.sensors))
         self.terms = (*built_in, *terms, Acceleration(sensors, settings.robust_acceleration))
@@ -118,8 +116,11 @@ class Observations:
         if self.seen:
             shares = self.points.independent / self.points.sizes**2
             self.confidence = np.concatenate([k.confidence for k in self.seen], axis=1) * shares
-            self._uv_px = self.rows["uv_px"]
-        self._displace(start.p_world_joint, start.R_world_bone)
+        if self.points.place_covariance.any():  # remove from the pixels what moves points beside their segments
+            p, R = start.p_world_joint, start.R_world_bone
+            off = [self.points.displaced(camera, p, R)[:, part] for camera, part in cameras]
+            shown = np.where(self.confidence[..., None] > 0, np.nan_to_num(np.concatenate(off, axis=1)), 0.0)
+            self.rows["uv_px"] = self.rows["uv_px"] - shown
 
     def fragment(self, first: int) -> tuple[Index, Mask, FragmentData]:
         """Return the indices of a fragment's frames, which of them exist, and their data; `first`: its first frame,
@@ -127,29 +128,6 @@ class Observations:
         """
         measured = self.a_world, self.w_acceleration
         return fragment_of(self.rows, self.constant, *measured, self.rate_hz, first, self.frames)
-
-    def continue_from(self, x: Array) -> None:
-        """Take solved states (T, 3 + 4A) as the start, and the places of the detector's points from their residuals."""
-        self.start = x
-        p, R = self.space.poses(x)
-        self._displace(p, R)
-        if self.points.place_covariance.any():
-            slopes = self._by_camera(lambda camera: self.points.slopes(camera, p, R))
-            at = self.points.positions(p, R)
-            residuals = self.rows["uv_px"] - self._by_camera(lambda camera: camera.undistorted().project(at))
-            found = estimated_places(residuals, slopes, self.confidence, self.points.place_covariance)
-            self.points = replace(self.points, places=self.points.places + found)
-            self.constant["places"] = self.points.places.T
-
-    def _displace(self, p: Array, R: Array) -> None:
-        """Remove from the pixels what moves the points beside their segments at poses (T, J)."""
-        if self.points.place_covariance.any():
-            off = self._by_camera(lambda camera: self.points.displaced(camera, p, R))
-            self.rows["uv_px"] = self._uv_px - np.where(self.confidence[..., None] > 0, np.nan_to_num(off), 0.0)
-
-    def _by_camera(self, of: Callable[[Camera], Array]) -> Array:
-        """Values (T, L, ...) of the points, each by the camera that sees it."""
-        return np.concatenate([of(camera)[:, part] for camera, part in self._cameras], axis=1)
 
     def anything_seen(self, first: int, inside: Mask) -> bool:
         """Return whether a landmark or a sensor has data in a fragment from `first`, in its existing frames (N,)."""

@@ -28,7 +28,6 @@ from rtof_kin.solve.joint_space.covariance import (
     unseen_covariance,
     unseen_times,
 )
-from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
@@ -99,11 +98,6 @@ class JointSpaceSolver:
                 yield frames, x[: frames.stop - piece.first], previous, piece
 
         fragments = _Fragments(data, self.settings, confidence)
-        if self.settings.landmark_places and data.points.place_covariance.any():
-            parts = list(blends(_Fragments(data, self.settings, False).settled(firsts, progress)))
-            solved = [parts[0][2], *(piece for *_, piece in parts)]
-            fragments.least_px = {piece.first: piece.report.sigma_reprojection for piece in solved}
-            data.continue_from(np.concatenate([x for _, x, _, _ in parts]))
         reports: list[FragmentReport] = []
         unseen = unseen_times(data)
         for frames, x, previous, piece in blends(fragments.settled(firsts, progress)):
@@ -162,9 +156,7 @@ class _Fragments:
     def __init__(self, data: Observations, settings: JointSpaceSettings, confidence: bool) -> None:
         self.data, self.settings, problem = data, settings, data.problem
         self._confidence = confidence
-        self.least_px: dict[int, float] = {}
         self._real_time = LevenbergMarquardt(problem, data.limits)
-        self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
     def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
         """Yield the fragments; one that fits much worse than an overlapping one is solved again from it."""
@@ -205,12 +197,7 @@ class _Fragments:
         began = perf_counter()
         data.problem.bind(values)
         annealing = Annealing(
-            self.settings,
-            data.problem,
-            data.confidence[index],
-            data.points.sizes,
-            values.observation,
-            self.least_px.get(first, 0.0),
+            self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation
         )
         x, failed = data.start[index] if start is None else start, True
         try:
@@ -237,11 +224,7 @@ class _Fragments:
     def _minimised(self, x: Array, annealing: Annealing) -> Solved:
         s, solver = self.settings, self._real_time
         anneals = s.annealing if s.sigma_reprojection is None else 0
-        if self._ipopt is None:
-            return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
-        annealed = solver.solve(x, anneals, s.tolerance, None, annealing)
-        solved = self._ipopt.solve(annealed.x, s.max_iterations, s.tolerance)
-        return replace(solved, iterations=annealed.iterations + solved.iterations)
+        return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
 
     def _report(self, solved: Solved, first: int, sigma: float, seconds: float, inside: Mask) -> FragmentReport:
         """Report measured at the returned point."""

@@ -1,4 +1,4 @@
-"""Reference solver: IPOPT on the same energy, with limits as inequalities.
+"""IPOPT on the joint-space energy, with limits as inequalities.
 
 IPOPT's variables are the step d (N D) from the initial state, in millimetres and milliradians, so the energy at d is
 that of the state retracted by d. Derivatives at the state are multiplied by the Jacobian T
@@ -153,9 +153,10 @@ class _Point:
         problem, T = self.problem, self._tangent(y)
         N, D = problem.frames, problem.space.size
         problem.linearise(self.state(y))
+        H, frames = problem.hessian().reshape(N, D, N, D), np.arange(N)
         columns = np.zeros((N, D, LAGS, D))
         for k in range(LAGS):  # block (t, t + k) of the upper triangle
-            block = problem.lower_block(k)  # [t, r, c] = H[(t + k, r), (t, c)]
+            block = H[frames[k:], :, frames[: N - k]]  # [t, r, c] = H[(t + k, r), (t, c)]
             columns[k:, :, LAGS - 1 - k] = np.swapaxes(T[k:], 1, 2) @ block @ T[: N - k]
         return columns.reshape(N, D, LAGS * D)[self._mask]
 
