@@ -17,8 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import logsumexp
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.motion_score import image_scores, shipped_score
-from rtof_kin.calibration.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
+from rtof_kin.calibration.motion_score import RATE_HZ, SensorMotions, image_scores, sensor_motions, shipped_score
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check, indices_of
 from rtof_kin.core.errors import InvalidInputError

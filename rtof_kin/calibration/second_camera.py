@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.camera_unknowns import refocused
+from rtof_kin.calibration.camera_estimate import refocused
 from rtof_kin.calibration.clocks import ClockEstimate, find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals

@@ -179,11 +179,13 @@ def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
     return next((side for side in wanted if spans_a.get(side) and spans_b.get(side)), None)
 
 
-def repeats_of(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
-    """Return all repeats of one angle at `PHASES`, on one turn; spans: start and stop of each repeat, s."""
+def repeats_of(
+    angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]], phases: Array = PHASES
+) -> Samples:
+    """Return all repeats of one angle at phases, on one turn; spans: start and stop of each repeat, s."""
     values, sigma = usable(angles.select([name]))
-    at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
-    gap, shape = _GAP / angles.rate_hz, (len(spans), len(PHASES))
+    at = np.concatenate([start + phases * (stop - start) for start, stop in spans])
+    gap, shape = _GAP / angles.rate_hz, (len(spans), len(phases))
     rows = signals.interpolate(angles.times, values, at, gap).reshape(shape)
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known):

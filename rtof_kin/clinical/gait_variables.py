@@ -18,16 +18,14 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table, foot_table
-from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths, relative_to_standing
-from rtof_kin.clinical.comparison_samples import usable
+from rtof_kin.clinical.angles import angles_and_paths, relative_to_standing
+from rtof_kin.clinical.comparison_samples import repeats_of
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait, progression, stride_shape
 from rtof_kin.clinical.gait_events import Stride, gait_events
-from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE
 
 STRAIGHT: Final = np.radians(20.0)  # [rad] largest change of the pelvis's heading within a counted stride
-_GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
 _ANGLES: Final = (
     ("pelvis_tilt", 1, False),
     ("pelvis_list", -1, False),
@@ -113,52 +111,22 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -
     strides, why_not, notes = _counted(gait)
     curves = np.full((len(strides), *SHAPE), np.nan)
     sigma = None if angles.sigma is None else np.full(curves.shape, np.nan)
-    speeds = np.full(len(strides), np.nan)
     for side in SIDES:
-        sampled = _Sampled.of(angles, feet, side)
-        for k, stride in enumerate(strides):
-            if stride.side == side:
-                curves[k], found = sampled.over(stride, progression(stride, gait.events))
-                if sigma is not None and found is not None:
-                    sigma[k] = found
-                speeds[k] = stride.speed if not gait.verdict.on_the_spot else np.nan
-    return GaitCycles(tuple(s.side for s in strides), curves, sigma, speeds, why_not, notes)
-
-
-@dataclass(frozen=True)
-class _Sampled:
-    """Angles of one side's variables over time."""
-
-    side: str
-    times: Array
-    values: Array  #: (T, 9) rad
-    sigma: Array | None
-
-    @classmethod
-    def of(cls, angles: ClinicalAngles, feet: ClinicalAngles, side: str) -> _Sampled:
-        """Select the angles of a side, NaN where unusable."""
-        names = [name.format(side=side) for name, _, _ in _ANGLES]
-        values, sigma = usable(angles.select(names[:-1]))
-        foot, foot_sigma = usable(feet.select(names[-1:]))
-        both = None if sigma is None or foot_sigma is None else np.hstack([sigma, foot_sigma])
-        return cls(side, angles.times, np.hstack([values, foot]), both)
-
-    def over(self, stride: Stride, direction: float) -> tuple[Array, Array | None]:
-        """Return values and standard deviations (9, 51) of a stride that leads in a direction, rad."""
-        own, at = stride.frames(self.times), stride.start + PERCENT / 100 * stride.stride_time
-        times, gap = self.times[own], _GAP * float(np.median(np.diff(self.times)))
-        values = signals.interpolate(times, self.values[own], at, gap).T
-        mirror = 1 if self.side == "right" else -1
-        for row, (name, sign, is_heading) in zip(values, _ANGLES, strict=True):
-            row *= sign * (mirror if name.startswith("pelvis_") and name != "pelvis_tilt" else 1)
+        own = [k for k, stride in enumerate(strides) if stride.side == side]
+        spans = [(strides[k].start, strides[k].stop) for k in own]
+        ahead = np.array([progression(strides[k], gait.events) for k in own])[:, None]
+        mirror = 1 if side == "right" else -1
+        for v, (name, sign, is_heading) in enumerate(_ANGLES if own else ()):
+            found = repeats_of(feet if "foot" in name else angles, name.format(side=side), spans, PERCENT / 100)
+            rows = found.values * (sign * (mirror if name in ("pelvis_list", "pelvis_rotation") else 1))
             if is_heading:
-                row -= mirror * direction
-                if np.isfinite(row).all():
-                    row -= 2 * np.pi * np.round(row.mean() / (2 * np.pi))
-        values[~np.isfinite(values).all(axis=1)] = np.nan
-        if self.sigma is None:
-            return values, None
-        return values, signals.interpolate(times, self.sigma[own], at, gap).T
+                rows = rows - mirror * ahead
+                rows = rows - 2 * np.pi * np.round(rows.mean(axis=1, keepdims=True) / (2 * np.pi))
+            curves[own, v] = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, np.nan)
+            if sigma is not None and found.sigma is not None:
+                sigma[own, v] = found.sigma
+    speeds = np.array([np.nan if gait.verdict.on_the_spot else stride.speed for stride in strides])
+    return GaitCycles(tuple(s.side for s in strides), curves, sigma, speeds, why_not, notes)
 
 
 def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:

@@ -229,11 +229,6 @@ class GroundReaction:
         """Body weight, N."""
         return self.weight_kg * STANDARD_GRAVITY
 
-    @property
-    def is_identifiable(self) -> Mask:
-        """(T,) frames in which the force on each foot is known."""
-        return np.isin(self.state, (Contact.RIGHT, Contact.LEFT)) & np.isfinite(self.force[:, 2])
-
 
 def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
     """Return force and centre of pressure."""

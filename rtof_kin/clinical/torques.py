@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,7 @@ def joint_torques(
     carries: NDArray[np.int_] = readonly("support", given, (T,), np.int_)
     if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
-    whole, short = _Arrays.unknown(T, skeleton.nv), 0
+    whole, short = _unknown(T, skeleton.nv), 0
     ends = [i for i, name in enumerate(skeleton.names) if name in _CARRY]
     placed = source.masks.known & source.masks.valid[:, [0, *ends]].all(axis=1)
     for start, stop in signals.runs(placed):
@@ -175,10 +175,13 @@ def joint_torques(
             continue
         step = float(np.median(np.diff(times)))
         for frames, part in _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop]):
-            whole.put(slice(start + frames.start, start + frames.stop), part)
+            placed_at = slice(start + frames.start, start + frames.stop)
+            for name, array in part.items():
+                whole[name][(slice(None), placed_at) if array.ndim > 2 else placed_at] = array
         edge = max(2, round(_EDGE / step))
-        for frames in (slice(start, start + edge), slice(stop - edge, stop)):
-            whole.put(frames, None)
+        for array in whole.values():
+            for frames in (slice(start, start + edge), slice(stop - edge, stop)):
+                array[(slice(None), frames) if array.ndim > 2 else frames] = np.nan
     if short:
         notes.append(f"{short} stretch(es) shorter than {SHORTEST:g} s have no torques")
     if support is not None:
@@ -186,46 +189,28 @@ def joint_torques(
         own = {segments[f"{side} {word}"] for side in SIDES for word in ("thigh", "shank", "foot")}
         joints = [joint for joint in skeleton.table.joints if joint.name in own]
         legs = [skeleton.dof_names.index(dof.urdf) for joint in joints for dof in joint.dofs]
-        whole.torques[np.ix_(carries == UNKNOWN, legs)] = np.nan
-        whole.sigma_parts[np.ix_((0, 1), carries == UNKNOWN, legs)] = np.nan
+        whole["torques"][np.ix_(carries == UNKNOWN, legs)] = np.nan
+        whole["sigma_parts"][np.ix_((0, 1), carries == UNKNOWN, legs)] = np.nan
         notes.append(
             f"torques of the legs in {100 * np.mean(carries != UNKNOWN):.0f} % of the frames, in which one "
             "foot bears all load; load sharing of two feet is unknown without a force plate"
         )
     notes += _confidence_notes(whole)
     return JointTorques(
-        times=source.times,
-        dof_names=skeleton.dof_names,
-        weight_kg=skeleton.table.mass_kg,
-        notes=tuple(notes),
-        **vars(whole),
+        times=source.times, dof_names=skeleton.dof_names, weight_kg=skeleton.table.mass_kg, notes=tuple(notes), **whole
     )
 
 
-@dataclass(frozen=True)
-class _Arrays:
-    """The arrays of `JointTorques`."""
+_Arrays = dict[str, NDArray[Any]]  # of `JointTorques`, by its fields
 
-    torques: Array
-    root_wrench: Array
-    unexplained: Array
-    wrench: Array
-    reference: Array
-    sigma_parts: NDArray[np.float32]
-    wrench_covariances: NDArray[np.float32]
 
-    @classmethod
-    def unknown(cls, frames: int, nv: int) -> _Arrays:
-        """Return arrays of NaN."""
-        wide = (np.full((frames, width), np.nan) for width in (nv - 6, 6, 6, 6, 3))
-        parts = (np.full((2, frames, *shape), np.nan, np.float32) for shape in ((nv - 6,), (6, 6)))
-        return cls(*wide, *parts)
-
-    def put(self, frames: slice, part: _Arrays | None) -> None:
-        """Set some frames; None: to NaN."""
-        for name, array in vars(self).items():
-            own = np.nan if part is None else getattr(part, name)
-            array[(slice(None), frames) if array.ndim > 2 else frames] = own
+def _unknown(frames: int, nv: int) -> _Arrays:
+    """Arrays of NaN."""
+    widths = {"torques": nv - 6, "root_wrench": 6, "unexplained": 6, "wrench": 6, "reference": 3}
+    parts = {"sigma_parts": (nv - 6,), "wrench_covariances": (6, 6)}
+    return {name: np.full((frames, width), np.nan) for name, width in widths.items()} | {
+        name: np.full((2, frames, *shape), np.nan, np.float32) for name, shape in parts.items()
+    }
 
 
 def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list[str]:
@@ -254,8 +239,8 @@ def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list
 
 def _confidence_notes(found: _Arrays) -> list[str]:
     """Notes on the standard deviations."""
-    known = np.isfinite(found.torques).any(axis=1)
-    stated = np.isfinite(found.sigma_parts[0]).any(axis=1)
+    known = np.isfinite(found["torques"]).any(axis=1)
+    stated = np.isfinite(found["sigma_parts"][0]).any(axis=1)
     if not known.any():
         return []
     if not stated.any():
@@ -292,13 +277,13 @@ def _inverse_dynamics(
         found = [body.at(*frame) for frame in zip(q, v, a, supports.tolist(), strict=True)]
         yield (
             block.frames,
-            _Arrays(
-                torques=np.array([one.tau[6:] for one in found]),
-                root_wrench=np.array([one.root_wrench for one in found]),
-                unexplained=np.array([one.left for one in found]),
-                wrench=np.array([one.wrench for one in found]),
-                reference=np.array([one.reference for one in found]),
-                sigma_parts=np.sqrt(np.maximum(torques, 0.0)).astype(np.float32),
-                wrench_covariances=wrenches.astype(np.float32),
-            ),
+            {
+                "torques": np.array([one.tau[6:] for one in found]),
+                "root_wrench": np.array([one.root_wrench for one in found]),
+                "unexplained": np.array([one.left for one in found]),
+                "wrench": np.array([one.wrench for one in found]),
+                "reference": np.array([one.reference for one in found]),
+                "sigma_parts": np.sqrt(np.maximum(torques, 0.0)).astype(np.float32),
+                "wrench_covariances": wrenches.astype(np.float32),
+            },
         )

@@ -42,7 +42,6 @@ _MOST: Final = 3  # changes that are named
 _PRINTED: Final = 12  # angles in the printed table, unless they are chosen
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
 _BETTER: Final = 0.02  # if the agreement is better by this
-_SAME: Final = np.radians(0.005)
 _OFTEN: Final = 0.2  # share of the samples outside the band of the difference, of which 0.05 are expected
 _LISTED: Final = 6  # coordinates that a note lists
 _TENTHS: Final = 10  # packed numbers are tenths of a degree
@@ -197,9 +196,7 @@ def _other_system(path: Path) -> Compared:
 
 def _opening(found: Comparison, why: str) -> list[str]:
     """Return the first lines: identity, what against what, the axis (and why, if it was chosen), and the changes."""
-    lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
-    if _same_values(found) and not lines:
-        lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
+    lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."] if found.identical else []
     clocks = found.alignment
     if found.by == "time" and clocks is not None and not found.identical and not _agreement(clocks) >= POOR:
         lines.append(
@@ -271,10 +268,6 @@ def difference_text(change: Change) -> str:
     return degrees(change.difference, True) + band
 
 
-def _same_values(found: Comparison) -> bool:
-    return all(one.errors is not None and abs(one.errors.largest) < _SAME for one in found.angles)
-
-
 def _agreement(clocks: Alignment) -> float:
     """Agreement at the shift that is used, which is the zero of the clocks that were compared."""
     return clocks.unshifted if np.isfinite(clocks.unshifted) else 0.0
@@ -286,7 +279,7 @@ def _axis(found: Comparison) -> str:
         text = f"Compared at the same instants, {found.axis[0]:.2f} to {found.axis[-1]:.2f} s of A's clock"
         if found.shift:
             text += f", with B shifted by {found.shift:+.3f} s"
-        if found.alignment is not None and not found.identical:
+        if found.alignment is not None:
             text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
         shares = [f"{100 * find(one.pair.share for one in found.angles):.0f}" for find in (min, max)]
         span = " to ".join(dict.fromkeys(shares))
@@ -313,7 +306,7 @@ def _changes(found: Comparison) -> list[str]:
         verb = "has" if len(changed) == 1 else "have"
         return [f"{len(changed)} of {len(tested)} angles {verb} changed ({level}): {which}{names}."]
     lines = [f"None of {len(tested)} angles is shown to have changed ({level})."]
-    if not _same_values(found):
+    if not found.identical:
         sizes = [one.changes[0].detectable for one in tested if np.isfinite(one.changes[0].detectable)]
         largest = sorted(tested, key=lambda one: -abs(one.changes[0].difference))[:_MOST]
         names = "; ".join(change_text(one, one.changes[0]) for one in largest)
@@ -328,26 +321,21 @@ def _changes(found: Comparison) -> list[str]:
 
 def _clock_cautions(found: Comparison) -> list[str]:
     clocks = found.alignment
-    if found.by != "time" or clocks is None or found.identical:
+    if found.by != "time" or clocks is None:
         return []
-    lines = []
-    better = clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE
-    if better and clocks.poor:
+    lines, best = [], f"B shifted by {found.shift + clocks.shift:+.2f} s"
+    if clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE:
         lines.append(
-            f"No shift makes the curves agree (at most {clocks.agreement:.2f}, where B is shifted by "
-            f"{found.shift + clocks.shift:+.2f} s): different movements, or different people"
-        )
-    elif better:
-        lines.append(
-            f"The curves agree better ({clocks.agreement:.2f}) with B shifted by "
-            f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
+            f"No shift makes the curves agree (at most {clocks.agreement:.2f}, with {best}): different movements, or "
+            "different people"
+            if clocks.poor
+            else f"The curves agree better ({clocks.agreement:.2f}) with {best}: if the clocks differ, use --align"
         )
     if found.shift:
         text = f"The shift of B is {found.shift:+.3f}"
         text += f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else " s"
         if np.isfinite(clocks.rival):
-            second = f"{found.shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
-            text += f"; the second best is {second}"
+            text += f"; the second best is {found.shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
         if clocks.ambiguous:
             text += ", nearly as good, as in a periodic movement: check it by an event that both show"
         lines.append(text)

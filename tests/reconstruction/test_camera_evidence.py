@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.calibration.camera_estimate import Evidence
-from rtof_kin.calibration.camera_unknowns import FOCAL, PITCH, corrected
+from rtof_kin.calibration.camera_estimate import FOCAL, PITCH, Evidence, corrected
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError

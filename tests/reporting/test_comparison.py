@@ -71,7 +71,7 @@ def test_not_shown_is_told_from_equal() -> None:
 def test_identical_motions_are_called_so_first() -> None:
     a = one("a", TIMES, COLUMNS_A, 2.0)
     lines = opening(found_in_time(a, replace(a, name="b")))
-    assert lines[0].startswith("A and B are identical")
+    assert lines[0].startswith("A and B have the same values")
 
 
 def test_other_movement_is_doubted_first() -> None:

@@ -28,7 +28,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from rtof_kin.calibration.camera_unknowns import (
+from rtof_kin.calibration.camera_estimate import (
     CAMERA_UNKNOWNS,
     DOWN,
     FOCAL,
