@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import harness
 from benchmarks.real_clips import clips
-from rtof_kin.calibration.camera_unknowns import pitch_and_roll
+from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording

@@ -18,13 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
-from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.mocap_families import NAMES, PARENTS
+from rtof_kin.simulation.mocap_families import NAMES
 
 C_WORLD_TC = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """World axes of the package from those of the files: (x, y, z) becomes (x, -z, y)."""
@@ -33,17 +31,6 @@ M_TC_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 INCH = 0.0254  # [m]
 LAYOUTS = ("one", "vendor", "split")
 """All of a take in one folder; as the archives unpack; a folder for each kind of file."""
-END_SITES_MM: dict[str, tuple[tuple[str, tuple[float, float, float]], ...]] = {
-    "Head": (("", (0, 0, -149.5)),),
-    "RightHand": (("RightHandEnd", (65.9, 0, 0)), ("RightHandThumb1", (20, -40, 5))),
-    "RightFoot": (("RightToeBase", (0, -144.0, 52.4)),),
-    "RightHandEnd": (("", (30, 0, 0)),),
-    "RightHandThumb1": (("", (15, -30, 0)),),
-    "RightToeBase": (("", (0, -70, 0)),),
-}
-"""Joints of a BVH file beyond the 21, in segment axes of the parent; a joint without a name is an
-End Site. The left side mirrors x."""
-_CHANNELS = "Xposition Yposition Zposition Zrotation Xrotation Yrotation"
 _MAGNETIC_FIELD = np.array([0.0, 0.45, -0.9])
 
 
@@ -54,19 +41,18 @@ def take_paths(layout: str, subject: str, take: str) -> dict[str, Path]:
         layout: one of `LAYOUTS`. subject: 'S1'. take: 'acting3'.
 
     Returns:
-        Paths of 'positions', 'orientations', 'bvh', 'sensors', 'aux', 'ref' and 'bone'.
+        Paths of 'positions', 'orientations', 'sensors', 'aux', 'ref' and 'bone'.
     """
     own, low = Path(subject), subject.lower()
     folders = {
-        "one": (own / take, own / take, own / take, own / take),
-        "vendor": (own / take, own, Path(low), Path(low)),
-        "split": (Path("vicon") / subject / take, Path("vicon") / subject, Path("imu") / low, Path("gyro_mag") / low),
+        "one": (own / take, own / take, own / take),
+        "vendor": (own / take, Path(low), Path(low)),
+        "split": (Path("vicon") / subject / take, Path("imu") / low, Path("gyro_mag") / low),
     }
-    vicon, bvh, imu, aux = folders[layout]
+    vicon, imu, aux = folders[layout]
     return {
         "positions": vicon / "gt_skel_gbl_pos.txt",
         "orientations": vicon / "gt_skel_gbl_ori.txt",
-        "bvh": bvh / f"{take}_BlenderZXY_YmZ.bvh",
         "sensors": imu / f"{low}_{take}_Xsens.sensors",
         "aux": aux / f"{take.capitalize()}_Xsens_AuxFields.sensors",
         "ref": imu / f"{low}_{take}_calib_imu_ref.txt",
@@ -99,63 +85,6 @@ def write_joints(path: Path, values: Array, names: Sequence[str] = NAMES) -> Non
     lines = ["\t".join([*names, "\n"])]
     lines += [row % tuple(frame) for frame in values.reshape(len(values), -1).tolist()]
     _write(path, lines)
-
-
-def write_bvh(path: Path, poses: PoseSequence, joint_offsets: Array) -> None:
-    """The motion as BVH with six channels for every joint.
-
-    Args:
-        poses: joints in the order of `rtof_kin.simulation.mocap.NAMES`. joint_offsets: (21, 3) m, link axes.
-    """
-    offsets = joint_offsets @ M_TC_BONE / INCH
-    lines = ["HIERARCHY\n"]
-    order: list[tuple[int, Array]] = []
-    _bvh_joint(lines, order, 0, offsets)
-    local = kinematics.local_rotations(PARENTS, tc_rotations(poses.R_world_bone))
-    degrees = np.degrees(so3.matrix_to_euler("zxy", local))
-    values = np.zeros((len(poses), len(order), 6))
-    for column, (joint, offset) in enumerate(order):
-        values[:, column, :3] = offset
-        if joint >= 0:
-            values[:, column, 3:] = degrees[:, joint]
-    values[:, 0, :3] = tc_positions(poses.p_world_joint[:, 0])
-    lines += ["MOTION\n", f"Frames: {len(poses)}\n", f"Frame Time: {1 / poses.rate_hz:.6g}\n"]
-    row = " ".join(["%.6f"] * (6 * len(order))) + "\n"
-    lines += [row % tuple(frame) for frame in values.reshape(len(poses), -1).tolist()]
-    _write(path, lines)
-
-
-def _bvh_joint(lines: list[str], order: list[tuple[int, Array]], joint: int, offsets: Array, depth: int = 0) -> None:
-    """Append a joint and all below it: lines, and its index and offset in the order of the channels."""
-    order.append((joint, offsets[joint]))
-    _open(lines, f"JOINT {NAMES[joint]}" if depth else f"ROOT {NAMES[joint]}", offsets[joint], depth)
-    for child in kinematics.children_of(PARENTS, joint):
-        _bvh_joint(lines, order, child, offsets, depth + 1)
-    _bvh_ends(lines, order, NAMES[joint], depth + 1)
-    lines.append("  " * depth + "}\n")
-
-
-def _bvh_ends(lines: list[str], order: list[tuple[int, Array]], parent: str, depth: int) -> None:
-    """Append what hangs on a joint beyond the 21."""
-    mirrored = parent.startswith("Left")
-    for name, place_mm in END_SITES_MM.get(parent.replace("Left", "Right"), ()):
-        offset = np.array(place_mm) * [-1 if mirrored else 1, 1, 1] / 1000 / INCH
-        if not name:
-            _open(lines, "End Site", offset, depth, channels=False)
-        else:
-            name = name.replace("Right", "Left") if mirrored else name
-            order.append((-1, offset))
-            _open(lines, f"JOINT {name}", offset, depth)
-            _bvh_ends(lines, order, name, depth + 1)
-        lines.append("  " * depth + "}\n")
-
-
-def _open(lines: list[str], head: str, offset: Array, depth: int, channels: bool = True) -> None:
-    pad = "  " * depth
-    place = " ".join(f"{x:.6f}" for x in offset)
-    lines += [f"{pad}{head}\n", f"{pad}{{\n", f"{pad}  OFFSET {place}\n"]
-    if channels:
-        lines.append(f"{pad}  CHANNELS 6 {_CHANNELS}\n")
 
 
 # --- IMUs ----------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import total_capture_files as files
+from benchmarks.keypoint_noise import independent
 from benchmarks.total_capture_motion import (
     RATE_HZ,
     SHORTEST_CLIP,
@@ -39,10 +40,9 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
-from rtof_kin.simulation.simulate import SimulationSettings, simulate
+from rtof_kin.simulation.simulate import simulate
 
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
-WITHOUT_BVH = (("S3", "rom3"),)
 CAMERA_2_BIAS_PX = (20.0, -8.0)
 """Error of the miscalibrated real camera 2, px."""
 _STAMP = 107.0
@@ -134,19 +134,19 @@ def _skeleton() -> SkeletonModel:
 
 
 def write_take(
-    root: Path, take: StandInTake, layout: str = "one", *, orientations: bool = True, bvh: bool = True, aux: bool = True
+    root: Path, take: StandInTake, layout: str = "one", *, orientations: bool = True, aux: bool = True
 ) -> dict[str, Path]:
     """Write the files of a take below the dataset's folder.
 
     Args:
-        layout: one of `total_capture_files.LAYOUTS`. orientations, bvh, aux: whether those are written.
+        layout: one of `total_capture_files.LAYOUTS`. orientations, aux: whether those are written.
 
     Returns:
         The paths that `total_capture_files.take_paths` names, of what was written.
     """
     paths = files.take_paths(layout, take.subject, take.name)
     paths = {kind: root / path for kind, path in paths.items()}
-    for kind, wanted in (("orientations", orientations), ("bvh", bvh), ("aux", aux)):
+    for kind, wanted in (("orientations", orientations), ("aux", aux)):
         if not wanted:
             del paths[kind]
     poses = take.poses
@@ -154,8 +154,6 @@ def write_take(
     if orientations:
         quat = files.quat_xyzw(files.tc_rotations(poses.R_world_bone))
         files.write_joints(paths["orientations"], quat)
-    if bvh:
-        files.write_bvh(paths["bvh"], poses, take.joint_offsets)
     files.write_sensors(paths["sensors"], take.imus)
     if aux:
         files.write_sensors(paths["aux"], take.imus, aux=True)
@@ -183,7 +181,7 @@ def write_detections(folder: Path, take: StandInTake, number: int, camera: Camer
         poses.names,
     )
     late = (float(lag), float(lag))
-    settings = replace(SimulationSettings.independent(), sensors=(), video_lag_frames=late)
+    settings = replace(independent(), sensors=(), video_lag_frames=late)
     random = int(np.random.default_rng([seed, about_take, number]).integers(2**31))
     recording = simulate(padded, take.joint_offsets, camera=camera, settings=settings, seed=random)
     shorter = _SHORTER_VIDEO.get((take.subject, take.name), 0)
@@ -219,13 +217,7 @@ def write_dataset(
         about = zlib.crc32(f"{subject} {name}".encode())
         poses = from_t_pose(carried_over(clip.poses, offsets), offsets, about + seed)
         take = make_take(subject, name, poses, offsets, seed=seed)
-        write_take(
-            out,
-            take,
-            layout,
-            orientations=(subject, name) not in WITHOUT_ORIENTATIONS,
-            bvh=(subject, name) not in WITHOUT_BVH,
-        )
+        write_take(out, take, layout, orientations=(subject, name) not in WITHOUT_ORIENTATIONS)
         if detections is not None:
             for number, camera in eyes.items():
                 write_detections(detections, take, number, camera, seed)

@@ -27,7 +27,7 @@ from benchmarks import harness, scoring
 from benchmarks.calibration.planted_rows import SESSIONS
 from benchmarks.calibration.sessions import joined
 from rtof_kin.body.metrics import at_times
-from rtof_kin.calibration.camera_unknowns import UNKNOWNS, corrected
+from rtof_kin.calibration.camera_estimate import UNKNOWNS, corrected
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.confidence import BAND_95

@@ -7,14 +7,39 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.core.files.input_table import inlined_schema, json_schema, shape_of
+from rtof_kin.core.files.input_table import InputTable, json_schema
 from rtof_kin.recording.tables import SCHEMA, RecordingTable
 
 PAGE = Path(__file__).with_name("recording.md")
 BEGIN, END = "<!-- fields: made by python -m docs.recording_fields -->", "<!-- end of fields -->"
+
+
+@cache
+def inlined_schema(model: type[InputTable]) -> dict[str, Any]:
+    """Return the JSON Schema of a table, with what it refers to in place of its references."""
+    content = json_schema(model)
+    definitions = content.pop("$defs", {})
+
+    def resolved(node: Any) -> Any:
+        if isinstance(node, list):
+            return [resolved(one) for one in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            node = definitions[node["$ref"].rsplit("/", 1)[1]] | {k: node[k] for k in node if k != "$ref"}
+        return {key: resolved(value) for key, value in node.items()}
+
+    found: dict[str, Any] = resolved(content)
+    return found
+
+
+def shape_of(node: dict[str, Any]) -> tuple[int, ...]:
+    """Return the shape of an array of numbers in a schema."""
+    return () if node.get("type") != "array" else (node["minItems"], *shape_of(node["items"]))
 
 
 def kind(node: dict[str, Any]) -> str:
@@ -63,7 +88,7 @@ def page() -> str:
     """The page with today's tables."""
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    return "\n\n".join([before + BEGIN, *tables(inlined_schema(RecordingTable)), END + after])  # type: ignore[arg-type]
+    return "\n\n".join([before + BEGIN, *tables(inlined_schema(RecordingTable)), END + after])
 
 
 def schema_text() -> str:

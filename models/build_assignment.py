@@ -21,8 +21,14 @@ import torch
 from torch import Tensor, nn
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.motion_score import pair_features, single_features
-from rtof_kin.calibration.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
+from rtof_kin.calibration.motion_score import (
+    RATE_HZ,
+    SensorMotions,
+    joined,
+    pair_features,
+    sensor_motions,
+    single_features,
+)
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog

@@ -29,8 +29,8 @@ from benchmarks.calibration.planted_tables import numbers
 from benchmarks.calibration.sessions import joined
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import calibrate
-from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.calibration.shared_fragments import Slice
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.reconstruction.pipeline import reconstruct

@@ -22,8 +22,7 @@ from benchmarks import harness
 from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
-from rtof_kin.calibration.excerpt import Slice
-from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.calibration.shared_fragments import SharedFragments, Slice
 from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.prepare import Job as Reconstructing
 from rtof_kin.reconstruction.settings import ReconstructionSettings

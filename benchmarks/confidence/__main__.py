@@ -20,7 +20,7 @@ from benchmarks import harness
 from benchmarks.confidence import motions
 from benchmarks.confidence.cases import KINDS, SENSORS, Case, reconstructed
 from benchmarks.confidence.figure import reliability
-from benchmarks.confidence.fitting import fitted
+from benchmarks.confidence.fitting import as_toml, fitted
 from benchmarks.confidence.sharpness import by_rig, sharpness
 from benchmarks.confidence.study import rows
 from benchmarks.confidence.tables import report
@@ -61,7 +61,7 @@ def fit(options: argparse.Namespace) -> None:
     more = " --calibrated" if options.calibrate else ""
     head = HEAD.format(more=more, count=len(cases), people=len(motions.FITTED_ON))
     path = CHECKOUT / "confidence.toml"
-    path.write_text(head + fitted(cases).text(), encoding="utf-8")
+    path.write_text(head + as_toml(fitted(cases)), encoding="utf-8")
     print(f"wrote {path}")
 
 

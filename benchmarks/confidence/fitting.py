@@ -13,8 +13,11 @@ from scipy.special import ndtr
 from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.core.array_types import Array
 from rtof_kin.solve.uncertainty import (
+    DEPTHS,
     OTHER,
     SEEN,
+    SHARES,
+    UNITS,
     WHITE_FACTOR,
     CovarianceInflation,
     Widening,
@@ -169,3 +172,26 @@ def sharpest(
         key=lambda result: float(result.fun),
     )
     return np.asarray(np.exp(found.x))
+
+
+def as_toml(inflation: CovarianceInflation) -> str:
+    """The text of the inflation's file."""
+    lines = [f"[{SHARES}]  # of the distance between solution and start"]
+    for seen, shares in inflation.shares.items():
+        entries = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
+        lines.append(f"{seen} = {{ {entries} }}")
+    lines += ["", f"[{DEPTHS}]  # of the distance from the camera"]
+    lines += [f"{seen} = {share:.3g}" for seen, share in inflation.depths.items()]
+    lines.append("")
+    for seen, kinds in SEEN.items():
+        for kind in kinds:
+            lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
+            for name, w in inflation.widenings[seen][kind].items():
+                lines.append(f'"{name}" = {{ factor = {_text(w.factor)}, floor = {_text(w.floor)} }}')
+            lines.append("")
+    return "\n".join(lines)
+
+
+def _text(value: Array) -> str:
+    rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
+    return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"

@@ -8,16 +8,16 @@ are numbered, since clocks may differ or be set back.
 from __future__ import annotations
 
 import json
-import math
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import quote
 
 from markupsafe import Markup
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from rtof_kin.core.errors import WritingError
 from rtof_kin.core.files.text import write_text
@@ -34,7 +34,7 @@ WORST_FIRST: Final = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False, extra="ignore"))
 class Row:
     """What is known of one recording after its commands."""
 
@@ -56,16 +56,10 @@ class Row:
     @classmethod
     def of_plain(cls, plain: Any) -> Self | None:
         """Return a row, or None if it is none."""
-        if not isinstance(plain, dict) or not isinstance(plain.get("recording"), str):
-            return None
-        row = cls("")
-        known = {f.name: type(getattr(row, f.name)) for f in fields(cls)}
         try:
-            values = {name: known[name](value) for name, value in plain.items() if name in known}
-        except (TypeError, ValueError):
+            return TypeAdapter(cls).validate_python(plain)
+        except ValidationError:
             return None
-        bad = any(isinstance(value, float) and not math.isfinite(value) for value in values.values())
-        return None if bad else cls(**values)
 
     def plain(self) -> dict[str, Any]:
         """Return the row as JSON data."""
@@ -90,18 +84,14 @@ class RowFile:
         write_text(path, "".join(_line(n, row) for n, row in rows.values()), overwrite=True)
 
     def add(self, row: Row) -> None:
-        """Append a row; raises WritingError: it cannot be written; the file is as before then."""
+        """Append a row; raises WritingError: it cannot be written."""
         self.rows[row.recording] = (self.run, row)
-        size = None
         try:
             with self.path.open("ab", buffering=0) as stream:
-                size = os.fstat(stream.fileno()).st_size
                 line = _line(self.run, row).encode()
                 if stream.write(line) != len(line):
                     raise OSError("no room for a whole line")
         except OSError as error:
-            if size is not None:
-                os.truncate(self.path, size)
             raise WritingError(f"{self.path}: cannot be written ({error}); make room and go on") from error
 
 

@@ -15,10 +15,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import check_clocks
-from rtof_kin.calibration.excerpt import Excerpt, Slice
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups, place_swing
-from rtof_kin.calibration.shared_fragments import Shared, SharedFragments
+from rtof_kin.calibration.shared_fragments import Excerpt, Shared, SharedFragments, Slice
 from rtof_kin.calibration.unknowns import (
     Ankles,
     Bones,

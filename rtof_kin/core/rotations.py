@@ -18,6 +18,8 @@ camera     x right, y down, z forward (OpenCV)
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -152,36 +154,32 @@ def to_quat_wxyz(R: ArrayLike) -> Array:
     return quat
 
 
+def _where_known(function: Callable[[Array], Array], values: Array, axes: int, shape: tuple[int, ...]) -> Array:
+    """Return a function's results of a shape; NaN as a whole where the values of so many last axes are not finite."""
+    known = np.isfinite(values).all(axis=tuple(range(-axes, 0)))
+    out = np.full((*known.shape, *shape), np.nan)
+    out[known] = function(values[known])
+    return out
+
+
 def known_from_quat_wxyz(quat_wxyz: Array) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions, scalar first; NaN as a whole where not finite."""
-    known = np.isfinite(quat_wxyz).all(axis=-1)
-    R = np.full((*known.shape, 3, 3), np.nan)
-    R[known] = from_quat_wxyz(quat_wxyz[known])
-    return R
+    return _where_known(from_quat_wxyz, quat_wxyz, 1, (3, 3))
 
 
 def known_to_quat_wxyz(R: Array) -> Array:
     """Return the quaternions (..., 4), scalar first, of matrices; NaN as a whole where not finite."""
-    known = np.isfinite(R).all(axis=(-2, -1))
-    quat = np.full((*known.shape, 4), np.nan)
-    quat[known] = to_quat_wxyz(R[known])
-    return quat
+    return _where_known(to_quat_wxyz, R, 2, (4,))
 
 
 def known_exp(rotvec: Array) -> Array:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad; NaN as a whole where not finite."""
-    known = np.isfinite(rotvec).all(axis=-1)
-    R = np.full((*known.shape, 3, 3), np.nan)
-    R[known] = exp(rotvec[known])
-    return R
+    return _where_known(exp, rotvec, 1, (3, 3))
 
 
 def known_log(R: Array) -> Array:
     """Return the rotation vectors (..., 3), rad, of matrices (..., 3, 3); NaN as a whole where not finite."""
-    known = np.isfinite(R).all(axis=(-2, -1))
-    rotvec = np.full((*known.shape, 3), np.nan)
-    rotvec[known] = log(R[known])
-    return rotvec
+    return _where_known(log, R, 2, (3,))
 
 
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:

@@ -77,9 +77,7 @@ class Declaration:
         with np.errstate(over="ignore"):
             norm = np.linalg.norm(quat_wxyz, axis=-1)
         known = np.isfinite(norm) & (norm > 0)
-        R = np.full((*norm.shape, 3, 3), np.nan)
-        R[known] = so3.from_quat_wxyz(quat_wxyz[known])
-        return self.upright(R)
+        return self.upright(so3.known_from_quat_wxyz(np.where(known[..., None], quat_wxyz, np.nan)))
 
     def upright(self, R: Array) -> Array:
         """Return R_inertial_sensor (..., 3, 3), reference with z up; R: (..., 3, 3) rotation matrices of the file."""

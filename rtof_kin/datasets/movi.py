@@ -24,7 +24,17 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.public_sets import Movement, PublicSet, Take, TakeInputs, Truth, hinge_table, kind_of, natural
+from rtof_kin.datasets.public_sets import (
+    Movement,
+    PublicSet,
+    Take,
+    TakeInputs,
+    Truth,
+    existing,
+    hinge_table,
+    kind_of,
+    natural,
+)
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
 _PAIRED: Final = ("ankle", "elbow", "hip", "hand", "knee", "shoulder", "wrist", "foot")
@@ -101,14 +111,16 @@ class Movi(PublicSet):
     def _camera(self, name: str) -> Camera:
         intrinsics, extrinsics = f"cameraParams_{name}.npz", f"Extrinsics_{name}.npz"
         found = {file: self._found(re.escape(file)) for file in (intrinsics, extrinsics)}
-        for file, path in found.items():
-            if path is None:
-                raise FileFormatError(
-                    self.root / file,
-                    "the calibration of the camera is missing; unpack 'Camera Parameters.tar', or measure "
-                    "without one: --uncalibrated",
+        return read_camera(
+            *(
+                existing(
+                    path or self.root / file,
+                    "the calibration of the camera",
+                    "unpack 'Camera Parameters.tar', or measure without one: --uncalibrated",
                 )
-        return read_camera(*(path for path in found.values() if path is not None))
+                for file, path in found.items()
+            )
+        )
 
     def truth(self, take: Take) -> Truth:
         """See `PublicSet.truth`."""
@@ -171,19 +183,20 @@ def read_motions(path: Path) -> dict[str, Any]:
     Raises:
         FileFormatError: not that struct, a field missing or of another shape, or damaged.
     """
-    variables = matlab_variables(path)
-    name = next((name for name in variables if name.startswith("Subject_")), None)
-    if name is None:
-        raise FileFormatError(path, "no struct Subject_1_F in it; is it of another version of the set?")
-    move = _field(path, _field(path, variables[name], "move"), "")
-    found: dict[str, Any] = {}
+    variables = matlab_variables(path, simplify_cells=True)
+    struct: Any = next((value for name, value in variables.items() if name.startswith("Subject_")), None)
+    move = struct.get("move") if isinstance(struct, dict) else None
+    if not isinstance(move, dict):
+        raise FileFormatError(path, "no struct Subject_1_F with a field move in it; another version of the set?")
+    found: dict[str, Array] = {}
     for field in ("flags30", "flags120", "virtualMarkerLocation"):
-        values = np.asarray(_plain(_field(path, move, field)), dtype=object)
+        if field not in move:
+            raise FileFormatError(path, f"no field {field} in it; is it of another version of the set?")
         try:
-            found[field] = values.astype(np.float64)
+            found[field] = np.asarray(move[field], dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise FileFormatError(path, f"move.{field} holds no numbers") from error
-    motions = [str(_plain(one)) for one in np.ravel(_field(path, move, "motions_list"))]
+    motions = [str(name) for name in np.atleast_1d(move.get("motions_list", ()))]
     points, count = found["virtualMarkerLocation"], len(motions)
     if points.ndim != 3 or points.shape[1:] != (len(CENTRES), 3):
         raise FileFormatError(path, f"virtualMarkerLocation: {points.shape}, not (T, {len(CENTRES)}, 3)")
@@ -195,22 +208,3 @@ def read_motions(path: Path) -> dict[str, Any]:
     if found["flags120"].max(initial=0) > len(points):
         raise FileFormatError(path, f"move.flags120 ends after the {len(points)} frames of the markers")
     return {"motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points}
-
-
-def _field(path: Path, struct: Any, name: str) -> Any:
-    """Return a field of the struct inside arrays and cells; the struct itself for ''."""
-    inner = struct
-    while isinstance(inner, np.ndarray) and inner.dtype == object and inner.size == 1:
-        inner = inner.flat[0]
-    if not name:
-        return inner
-    if name not in getattr(inner, "_fieldnames", ()):
-        raise FileFormatError(path, f"no field {name} in it; is it of another version of the set?")
-    return getattr(inner, name)
-
-
-def _plain(value: Any) -> Any:
-    """Return what nested arrays of one element hold."""
-    while isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
-        value = value.flat[0]
-    return value.flat[0] if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1 else value

@@ -32,13 +32,15 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from pydantic import ConfigDict
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.input_table import InputTable, Number
 from rtof_kin.core.files.text import load_json, measurable, read_text
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.public_sets import (
@@ -140,16 +142,21 @@ def _metadata(take: Take) -> tuple[float, dict[str, str]]:
     """Return the time of the pose, s, and the sensor of each body."""
     path = take.folder / f"metadata_{take.key}.json"
     existing(path, "the metadata, which say where each sensor is,", "unpack the raw data of GAITEX")
-    found: Any = load_json(path)
-    start = found.get("start_ts") if isinstance(found, dict) else None
-    bodies = found.get("inverse_kinematics") if isinstance(found, dict) else None
-    if not isinstance(start, int | float) or not np.isfinite(start) or start < 0:
-        raise FileFormatError(path, f"start_ts: expected the time of the T-pose, s, found {start!r}")
-    if not isinstance(bodies, dict) or not all(
-        isinstance(one, dict) and isinstance(one.get("imu_name"), str) for one in bodies.values()
-    ):
-        raise FileFormatError(path, "inverse_kinematics: expected an imu_name for each body")
-    return float(start), {body: one["imu_name"] for body, one in bodies.items()}
+    found = _MetadataTable.of(load_json(path), path)
+    if found.start_ts < 0:
+        raise found.error("start_ts", f"expected the time of the T-pose, s, found {found.start_ts:g}")
+    return found.start_ts, {body: own.imu_name for body, own in found.inverse_kinematics.items()}
+
+
+class _BodyTable(InputTable):
+    model_config = ConfigDict(extra="ignore")
+    imu_name: str
+
+
+class _MetadataTable(InputTable):
+    model_config = ConfigDict(extra="ignore")
+    start_ts: Number  # [s] of the T-pose
+    inverse_kinematics: dict[str, _BodyTable]
 
 
 def read_orientations(path: Path) -> SensorLog:
@@ -307,19 +314,18 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
         )
     rows: dict[str, list[list[float]]] = {name: [] for name in sensors}
     for number, line in enumerate(lines[1:], 2):
-        cells = line.split(",")
-        if not line.strip():
-            continue
-        if cells[0] not in rows or len(cells) != len(header):
-            expected = f"one of {', '.join(sensors)} and {len(header) - 1} numbers"
-            raise FileFormatError(path, f"expected {expected}, found {line[:60]!r}", number)
+        name, *cells = line.split(",")
         try:
-            rows[cells[0]].append([float(cell) for cell in cells[1:]])
-        except ValueError as error:
-            raise FileFormatError(path, f"holds something else than numbers ({error})", number) from error
-    found = {name: np.array(own, dtype=float) for name, own in rows.items()}
-    short = [name for name, own in found.items() if len(own) < 3]
-    if short:
+            if line.strip():
+                rows[name].append([float(cell) for cell in cells[: len(header) - 1]])
+        except (KeyError, ValueError) as error:
+            expected = f"one of {', '.join(sensors)} and {len(header) - 1} numbers"
+            raise FileFormatError(path, f"expected {expected}, found {line[:60]!r}", number) from error
+    try:
+        found = {name: np.array(own, dtype=float).reshape(-1, len(header) - 1) for name, own in rows.items()}
+    except ValueError as error:
+        raise FileFormatError(path, f"not {len(header)} cells in every line: cut off?") from error
+    if short := [name for name, own in found.items() if len(own) < 3]:
         raise FileFormatError(path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?")
     if not all(measurable(own) for own in found.values()):
         raise FileFormatError(path, "holds a number that cannot be a quaternion or a time")

@@ -15,7 +15,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -212,11 +212,9 @@ class TotalCapture:
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
             raise UnknownNameError(f"take in {self.root}", [" ".join(key)], [" ".join(take) for take in self.takes])
-        truth = read_truth(key, partial(self.index.one, key))
-        if truth is None:
-            raise FileFormatError(
-                self.root, f"{' '.join(key)} has no gt_skel_gbl_pos.txt and no BVH file: no ground truth"
-            )
+        if (positions := self.index.one(key, "positions")) is None:
+            raise FileFormatError(self.root, f"{' '.join(key)} has no gt_skel_gbl_pos.txt: no ground truth")
+        truth = read_truth(key, positions, self.index.one(key, "orientations"))
         notes = list(truth.notes)
         imus, calibration = self._imus(key, len(truth.poses), notes)
         have = {kind.replace("aux_", "") for kind in self.index.files[key]}

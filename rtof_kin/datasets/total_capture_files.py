@@ -48,7 +48,6 @@ KINDS = {
     "aux_sensors": "_xsens_auxfields.sensors",
     "calib_bone": "calib_imu_bone.txt",
     "calib_ref": "calib_imu_ref.txt",
-    "bvh": "_blenderzxy_ymz.bvh",
 }
 """Endings of file names, by kind."""
 CAMERA_FILE = "calibration.cal"

@@ -6,7 +6,7 @@ are x to the subject's right, y backward, z down, ours x forward, y left, z up.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,6 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.total_capture import read_joints
 
 RATE_HZ = 60.0
@@ -31,8 +30,6 @@ SEGMENT_OF_BONE = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 """Rotation from a bone (link) frame to the dataset's segment frame; its own inverse."""
 RIGID_MM = 1.0  #: Largest spread of joint offsets of a rigid skeleton, mm
 _LENGTH_DIFFERENCE: Final = 5  #: Largest difference in length of files of one take, frames; the shorter one counts
-_SAME_MM = 5.0
-_QUARTER_TURNS_DEG = 10.0
 _GLITCHES = {
     ("S3", "freestyle1"): ((1936, 1961),),
     ("S4", "acting3"): ((655, 659), (2300, 2306)),
@@ -52,33 +49,23 @@ class Truth:
     notes: tuple[str, ...]
 
 
-def read_truth(take: tuple[str, str], find: Callable[[str], Path | None]) -> Truth | None:
-    """Read positions and orientations of a take, from its BVH file where one is missing; None without positions and a
-    BVH file. `find` returns the take's file of a kind, or None.
+def read_truth(take: tuple[str, str], positions: Path, orientations: Path | None) -> Truth:
+    """Read positions and orientations of a take; without orientations they are derived from the positions.
 
     Raises:
         FileFormatError: damaged or contradicting files, wrong joints, or quaternions not in order x y z w.
     """
     skeleton, notes = SkeletonModel.default(), list[str]()
-    p = R = None
-    positions, about = find("positions"), find("orientations")
-    if positions is not None:
-        p = _INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
-    if about is not None:
-        R = _orientations(about, skeleton, notes)
-    if (p is None or R is None) and (bvh := find("bvh")) is not None:
-        p, R = _from_bvh(bvh, p, R, skeleton, notes)
-        about = bvh
-    if p is None:
-        return None
-    if R is None:
+    p = _INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
+    R = None if orientations is None else _orientations(orientations, skeleton, notes)
+    if orientations is None or R is None:
         offsets, spread = _offsets_by_length(p, skeleton, notes), np.nan
         R = kinematics.rotations_from_positions(skeleton.parents, offsets, p)
     else:
-        p, R = _same_length(about or Path(), p, R, notes)
+        p, R = _same_length(orientations, p, R, notes)
         offsets, spread = _offsets(skeleton.parents, p, R)
         if spread > RIGID_MM:
-            raise FileFormatError(about or Path(), _why_not_rigid(spread))
+            raise FileFormatError(orientations, _why_not_rigid(spread))
     observed = np.full(len(skeleton.names), np.isfinite(spread))
     poses = PoseSequence(
         np.arange(len(p)) / RATE_HZ, p, R, skeleton.names, valid=_valid(take, p, notes), orientation_observed=observed
@@ -94,18 +81,11 @@ def _bone_rotations(R_vicon_segment: Array) -> Array:
 def _ordered(path: Path, width: int, skeleton: SkeletonModel, notes: list[str]) -> Array:
     """Read a table's values (T, J, width) in the skeleton's order of joints."""
     table = read_joints(path, width)
-    index = _indices(path, skeleton, table.names, 1)
-    further = [name for name in table.names if name not in skeleton.names]
-    if further:
+    if absent := [name for name in skeleton.names if name not in table.names]:
+        raise FileFormatError(path, f"has no joint {', '.join(absent)}; its joints are {', '.join(table.names)}", 1)
+    if further := [name for name in table.names if name not in skeleton.names]:
         notes.append(f"joints of {path.name} that the skeleton does not have: {', '.join(further)}")
-    return table.values[:, index]
-
-
-def _indices(path: Path, skeleton: SkeletonModel, names: tuple[str, ...], line: int | None = None) -> list[int]:
-    absent = [name for name in skeleton.names if name not in names]
-    if absent:
-        raise FileFormatError(path, f"has no joint {', '.join(absent)}; its joints are {', '.join(names)}", line)
-    return indices_of("joint", skeleton.names, names)
+    return table.values[:, indices_of("joint", skeleton.names, table.names)]
 
 
 def _positions(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Array:
@@ -184,46 +164,10 @@ def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Arra
     return p[:count], R[:count]
 
 
-def _from_bvh(
-    path: Path, p: Array | None, R: Array | None, skeleton: SkeletonModel, notes: list[str]
-) -> tuple[Array, Array]:
-    """Return positions and orientations, the missing ones from the take's BVH file; the frames of its joints
-    differ from ours by one constant rotation, the one that brings its offsets nearest to the skeleton's.
-    """
-    motion = read_bvh(path)
-    index = _indices(path, skeleton, motion.names)
-    if abs(motion.rate_hz - RATE_HZ) > 1:
-        raise FileFormatError(path, f"has {motion.rate_hz:.4g} frames a second, not {RATE_HZ:g}")
-    theirs, ours = motion.offsets[index][1:], skeleton.joint_offsets[1:]
-    R_file_bone = so3.nearest_rotation(theirs.T @ ours)
-    quarter_turns = np.round(R_file_bone)
-    off_deg = np.degrees(so3.angle_between(R_file_bone, quarter_turns))
-    if so3.is_rotation(quarter_turns) and off_deg < _QUARTER_TURNS_DEG:
-        R_file_bone = quarter_turns
-    p_file, R_file = motion.forward_kinematics()
-    p_bvh = _INCH * p_file[:, index] @ WORLD_OF_VICON.T
-    if p is not None:
-        count = min(len(p), len(p_bvh))
-        apart_mm = 1000 * np.linalg.norm(p[:count] - p_bvh[:count], axis=-1)
-        if np.median(apart_mm) > _SAME_MM:
-            raise FileFormatError(
-                path,
-                f"its joints are {np.median(apart_mm):.0f} mm (median) away from those in the "
-                "take's positions: a file of another take?",
-            )
-    if p is None:
-        notes.append(f"no positions: taken from {path.name}")
-        p = p_bvh
-    if R is None:
-        notes.append(f"no orientations: taken from {path.name}")
-        R = WORLD_OF_VICON @ R_file[:, index] @ R_file_bone
-    return p, R
-
-
 def _offsets_by_length(p: Array, skeleton: SkeletonModel, notes: list[str]) -> Array:
     """Return offsets for positions only: the package's skeleton, scaled to these bones."""
     notes.append("no orientations: derived from the positions, twist unknown, with the package's skeleton scaled")
-    lengths = np.median(np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0)
+    lengths = np.nanmedian(np.linalg.norm(p[:, 1:] - p[:, list(skeleton.parents[1:])], axis=-1), axis=0)
     return skeleton.with_bone_lengths(dict(zip(skeleton.names[1:], map(float, lengths), strict=True))).joint_offsets
 
 

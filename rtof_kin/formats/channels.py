@@ -125,116 +125,99 @@ class StreamChannels:
             UnknownNameError: an unknown field or value of the declaration.
         """
         declared = {k: v for k, v in (declared or {}).items() if v is not None}
-        sorted_ = _Sorted.of(stream, labels, types)
-        own, stated = sorted_.stated(units)
+        found, left = _by_quantity(stream, labels, types)
+        stated = _stated_units(stream, labels, units, found)
+        names = dict.fromkeys(sensor for sensor, _ in found)
+        of = {name: next((kind for kind in _ACCELERATIONS if (name, kind) in found), None) for name in names}
+        kinds = set(of.values()) - {None}
+        if len(kinds) > 1:
+            raise InvalidInputError(
+                f"stream {stream}: some sensors have acceleration with gravity and some without; send all alike"
+            )
+        own = Declaration()
+        if kinds & {"free", "linear"}:
+            own = Declaration(gravity="removed", acceleration_axes="inertial" if "free" in kinds else "sensor")
         declaration = own.changed(**stated).changed(**declared)
         notes = [
             f"stream {stream}: its metadata states {stated[field]}, {declared[field]} is declared and taken"
             for field in stated
             if declared.get(field, stated[field]) != stated[field]
         ]
-        if sorted_.left:
-            notes.append(f"stream {stream}: channels left out: {_some(sorted_.left)}")
-        sensors = tuple(sorted_.sensor(name, declaration) for name in sorted_.names)
+        if left:
+            notes.append(f"stream {stream}: channels left out: {_some(left)}")
+
+        def columns(sensor: str, kind: str | None, axes: str) -> Columns | None:
+            own = found.get((sensor, kind or ""))
+            if own is None:
+                return None
+            if kind == "quaternion" and own.keys() & set("0123"):
+                axes = "0123"
+            lacking = [axis for axis in axes if axis not in own]
+            if lacking:
+                there = ", ".join(repr(labels[column]) for column in own.values())
+                raise InvalidInputError(
+                    f"stream {stream}, sensor {sensor}: its {kind} has channels {there} and no "
+                    f"{', '.join(lacking)}; send all {len(axes)}"
+                )
+            return np.array([own[axis] for axis in axes])
+
+        sensors = tuple(
+            SensorChannels(
+                name,
+                columns(name, "quaternion", declaration.quaternion_order),
+                columns(name, of[name], "xyz"),
+                columns(name, "gyroscope", "xyz"),
+                columns(name, "magnetometer", "xyz"),
+            )
+            for name in names
+        )
         return cls(len(labels), sensors, declaration, tuple(notes))
 
 
-@dataclass(frozen=True)
-class _Sorted:
-    """Columns of a stream by sensor, quantity and axis."""
+_Found = dict[tuple[str, str], dict[str, int]]  # (sensor, quantity) -> axis -> column
 
-    stream: str
-    labels: tuple[str, ...]
-    found: Mapping[tuple[str, str], dict[str, int]]  #: (sensor, quantity) -> axis -> column
-    left: tuple[str, ...]  #: Labels that are none of these
 
-    @classmethod
-    def of(cls, stream: str, labels: Sequence[str], types: Sequence[str]) -> _Sorted:
-        found: dict[tuple[str, str], dict[str, int]] = {}
-        left = []
-        for column, label in enumerate(labels):
-            meaning = _meaning(label.strip(), types[column].strip() if column < len(types) else "")
-            if meaning is None:
-                left.append(label)
-                continue
-            sensor, kind, axis = meaning
-            axes = found.setdefault((sensor or stream, kind), {})
-            if axis in axes:
-                raise InvalidInputError(
-                    f"stream {stream}: channels {labels[axes[axis]]!r} and {label!r} are both {axis} of the "
-                    f"{kind} of {sensor or stream}; give each label once"
-                )
-            axes[axis] = column
-        if not found:
+def _by_quantity(stream: str, labels: Sequence[str], types: Sequence[str]) -> tuple[_Found, list[str]]:
+    """Return the columns of a stream, and labels that are none of an inertial sensor."""
+    found: _Found = {}
+    left = []
+    for column, label in enumerate(labels):
+        meaning = _meaning(label.strip(), types[column].strip() if column < len(types) else "")
+        if meaning is None:
+            left.append(label)
+            continue
+        sensor, kind, axis = meaning
+        axes = found.setdefault((sensor or stream, kind), {})
+        if axis in axes:
             raise InvalidInputError(
-                f"stream {stream}: no channel of an inertial sensor among {_some(labels) or 'its labels'}; "
-                "label them qw, qx, qy, qz, acc_x, acc_y, acc_z, with the sensor's name before, as in "
-                "pelvis_qw, where the stream has several"
+                f"stream {stream}: channels {labels[axes[axis]]!r} and {label!r} are both {axis} of the "
+                f"{kind} of {sensor or stream}; give each label once"
             )
-        return cls(stream, tuple(labels), found, tuple(left))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(sensor for sensor, _ in self.found))
-
-    def stated(self, units: Sequence[str]) -> tuple[Declaration, dict[str, str]]:
-        """Return the declaration of the quantities' names, and the units of the metadata by field."""
-        stated: dict[str, str] = {}
-        for (_, kind), axes in self.found.items():
-            for column in axes.values():
-                unit = units[column].strip() if column < len(units) else ""
-                field = _UNIT_OF.get(kind)
-                if field is None or not unit:
-                    continue
-                known = _UNITS[field]
-                value = next((one for one, names in known.items() if unit.lower() in names), None)
-                where = f"stream {self.stream}, channel {self.labels[column]!r}"
-                if value is None:
-                    raise InvalidInputError(f"{where}: unknown unit {unit!r}; give {' or '.join(known)}")
-                if stated.setdefault(field, value) != value:
-                    raise InvalidInputError(f"{where}: is in {value}, others in {stated[field]}; give one unit")
-        kinds = {self._acceleration(name) for name in self.names} - {None}
-        if len(kinds) > 1:
-            raise InvalidInputError(
-                f"stream {self.stream}: some sensors have acceleration with gravity and some without; send all alike"
-            )
-        own = Declaration()
-        if "free" in kinds or "linear" in kinds:
-            own = Declaration(gravity="removed", acceleration_axes="inertial" if "free" in kinds else "sensor")
-        return own, stated
-
-    def _acceleration(self, sensor: str) -> str | None:
-        return next((kind for kind in _ACCELERATIONS if (sensor, kind) in self.found), None)
-
-    def sensor(self, name: str, declaration: Declaration) -> SensorChannels:
-        order = "wxyz"
-        quaternions = self.found.get((name, "quaternion"))
-        if quaternions is not None:
-            if any(axis in "0123" for axis in quaternions):
-                order = "0123"
-            elif declaration.quaternion_order == "xyzw":
-                order = "xyzw"
-        acceleration = self._acceleration(name)
-        return SensorChannels(
-            name,
-            self._columns(name, "quaternion", order),
-            None if acceleration is None else self._columns(name, acceleration, "xyz"),
-            self._columns(name, "gyroscope", "xyz"),
-            self._columns(name, "magnetometer", "xyz"),
+        axes[axis] = column
+    if not found:
+        raise InvalidInputError(
+            f"stream {stream}: no channel of an inertial sensor among {_some(labels) or 'its labels'}; "
+            "label them qw, qx, qy, qz, acc_x, acc_y, acc_z, with the sensor's name before, as in "
+            "pelvis_qw, where the stream has several"
         )
+    return found, left
 
-    def _columns(self, sensor: str, kind: str, axes: str) -> Columns | None:
-        found = self.found.get((sensor, kind))
-        if found is None:
-            return None
-        lacking = [axis for axis in axes if axis not in found]
-        if lacking:
-            there = ", ".join(repr(self.labels[column]) for column in found.values())
-            raise InvalidInputError(
-                f"stream {self.stream}, sensor {sensor}: its {kind} has channels {there} and no "
-                f"{', '.join(lacking)}; send all {len(axes)}"
-            )
-        return np.array([found[axis] for axis in axes])
+
+def _stated_units(stream: str, labels: Sequence[str], units: Sequence[str], found: _Found) -> dict[str, str]:
+    """Return the units of the metadata by field of `Declaration`."""
+    stated: dict[str, str] = {}
+    for field, column in ((_UNIT_OF.get(kind), c) for (_, kind), axes in found.items() for c in axes.values()):
+        unit = units[column].strip() if column < len(units) else ""
+        if field is None or not unit:
+            continue
+        known = _UNITS[field]
+        value = next((one for one, names in known.items() if unit.lower() in names), None)
+        where = f"stream {stream}, channel {labels[column]!r}"
+        if value is None:
+            raise InvalidInputError(f"{where}: unknown unit {unit!r}; give {' or '.join(known)}")
+        if stated.setdefault(field, value) != value:
+            raise InvalidInputError(f"{where}: is in {value}, others in {stated[field]}; give one unit")
+    return stated
 
 
 def _meaning(label: str, type_: str) -> tuple[str, str, str] | None:

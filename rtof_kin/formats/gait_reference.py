@@ -217,33 +217,28 @@ def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = ()
 def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
     """Line, variable, per cent, mean and standard deviation of each row."""
     text = read_text(path, "a table with the columns variable, percent, mean, sd", _LARGEST)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
     try:
-        header = [name.strip().lower() for name in next(reader)]
-        absent = [name for name in _COLUMNS[:3] if name not in header]
-        if absent or len(set(header)) < len(header):
-            raise FileFormatError(
-                path,
-                f"the first line names the columns {', '.join(_COLUMNS)}, each once; found {', '.join(header)[:200]}",
-                1,
-            )
+        header = reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or ()]
+        if not {*_COLUMNS[:3]} <= {*header} or len(set(header)) < len(header):
+            names = ", ".join(header)[:200]
+            problem = f"the first line names the columns {', '.join(_COLUMNS)}, each once; found {names}"
+            raise FileFormatError(path, problem, 1)
         for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            if len(row) != len(header):
-                raise FileFormatError(path, f"{len(row)} cells, not {len(header)}", reader.line_num)
-            cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
-            if (name := cells["variable"]) not in NAMES:
+            if None in row or None in row.values():
+                raise FileFormatError(path, f"more or fewer cells than the {len(header)} columns", reader.line_num)
+            name = row["variable"].strip()
+            if name not in NAMES:
                 raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), reader.line_num)
-            numbers = [_number(path, reader.line_num, column, cells) for column in _COLUMNS[1:]]
-            yield reader.line_num, name, numbers[0], numbers[1], numbers[2]
+            percent, mean, sd = (_number(path, reader.line_num, column, row) for column in _COLUMNS[1:])
+            yield reader.line_num, name, percent, mean, sd
     except csv.Error as error:
         raise FileFormatError(path, f"not readable as CSV: {error}", reader.line_num) from error
 
 
-def _number(path: Path, line: int, column: str, cells: dict[str, str]) -> float:
+def _number(path: Path, line: int, column: str, row: dict[str, str]) -> float:
     """Number of a cell; NaN for an empty or absent standard deviation."""
-    text = cells.get(column, "")
+    text = row.get(column, "").strip()
     if column == "sd" and not text:
         return math.nan
     try:

@@ -62,16 +62,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import write_bvh
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
-from rtof_kin.formats.motion_views import (
-    AnyMotion,
-    dofs_from_prior,
-    even_times,
-    from_prior,
-    joint_tree,
-    landmark_markers,
-    landmarks_from_prior,
-    pieces,
-)
+from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
 
 CONVENTION: Final = (
@@ -256,7 +247,7 @@ def _index(motion: MotionSource, files: Files) -> Facts:
         "rate_hz": motion.rate_hz,
         "times_s": [float(times[0]), float(times[-1])],
         "gaps": [list(gap) for gap in runs(~seen)],
-        **_unseen(motion),
+        **shares_from_prior(motion),
         "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; from_prior: joints "
         "with unobserved position, and the share of the frames outside gaps; a prior or neighbouring "
         "joints place them, but .trc and .c3d leave them out; landmarks_from_prior: the same of other "
@@ -301,7 +292,7 @@ def _pieces(suffix: str, write_file: Writer, has_times: bool = True) -> Callable
             name = f"motion{suffix}" if len(parts) == 1 else f"motion_{number}{suffix}"
             write_file(folder / name, part)
             zero = 0.0 if has_times else float(part.times[0])
-            files[name] = {"frames": [start, stop], "time_zero_s": zero, **_unseen(part)}
+            files[name] = {"frames": [start, stop], "time_zero_s": zero, **shares_from_prior(part)}
             if suffix == ".mot":
                 files[name]["left_out"] = list(never_observed(part.masks))
         return files
@@ -340,14 +331,6 @@ def _c3d(folder: Path, motion: MotionSource) -> Files:
         first = 0
     write_c3d(folder / "motion.c3d", replace(markers, times=(first + np.arange(len(markers.times))) / rate))
     return {"motion.c3d": {"frames": [0, len(motion)], "time_zero_s": start - first / rate}}
-
-
-def _unseen(motion: MotionSource) -> Facts:
-    return {
-        "from_prior": from_prior(motion),
-        "landmarks_from_prior": landmarks_from_prior(motion),
-        "dofs_from_prior": dofs_from_prior(motion),
-    }
 
 
 _GROUND = "OpenSim's ground: x forward (world x), y up (world z), z right (world -y)"

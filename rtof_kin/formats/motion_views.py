@@ -37,16 +37,27 @@ def outside_gaps(masks: ObservationMasks) -> Mask:
     return np.asarray(masks.known & masks.valid.any(axis=1))
 
 
-def from_prior(motion: AnyMotion) -> dict[str, float]:
-    """Return joints whose position was unobserved outside gaps -> the share of those frames, 0 to 1."""
+def shares_from_prior(motion: AnyMotion) -> dict[str, dict[str, float]]:
+    """Return what was unobserved outside gaps -> the share of those frames, 0 to 1: of joints (`from_prior`), of
+    landmarks that are no joints, e.g. heels (`landmarks_from_prior`), and of the root's orientation and degrees of
+    freedom by URDF name (`dofs_from_prior`).
+    """
     masks = MotionSource.of(motion).masks
-    return _shares(masks, masks.skeleton.names, masks.position_observed)
-
-
-def dofs_from_prior(motion: AnyMotion) -> dict[str, float]:
-    """Return the same shares of degrees of freedom by URDF name, and of the root's orientation."""
-    masks = MotionSource.of(motion).masks
-    return _shares(masks, root_and_dof_names(masks.skeleton), root_and_dofs_observed(masks))
+    skeleton, inside = masks.skeleton, outside_gaps(masks)
+    beside = len(skeleton.names)  # landmarks are the joints first
+    observed = {
+        "from_prior": (skeleton.names, masks.position_observed),
+        "landmarks_from_prior": (tuple(skeleton.landmarks)[beside:], observed_landmarks(masks)[:, beside:]),
+        "dofs_from_prior": (root_and_dof_names(skeleton), root_and_dofs_observed(masks)),
+    }
+    return {
+        kind: {
+            name: float(share)
+            for name, share in zip(names, np.sum(~mask[inside], axis=0) / max(inside.sum(), 1), strict=True)
+            if share > 0
+        }
+        for kind, (names, mask) in observed.items()
+    }
 
 
 def root_and_dof_names(skeleton: SkeletonModel) -> tuple[str, ...]:
@@ -57,19 +68,6 @@ def root_and_dof_names(skeleton: SkeletonModel) -> tuple[str, ...]:
 def root_and_dofs_observed(masks: ObservationMasks) -> Mask:
     """Return a mask (T, 1 + D) of what was observed, in the order of `root_and_dof_names`."""
     return np.column_stack([root_turn_observed(masks), observed_dofs(masks)])
-
-
-def landmarks_from_prior(motion: AnyMotion) -> dict[str, float]:
-    """Return the same shares of landmarks that are no joints, e.g. heels."""
-    masks = MotionSource.of(motion).masks
-    shares = _shares(masks, tuple(masks.skeleton.landmarks), observed_landmarks(masks))
-    return {name: share for name, share in shares.items() if name not in masks.skeleton.names}
-
-
-def _shares(masks: ObservationMasks, names: tuple[str, ...], observed: Mask) -> dict[str, float]:
-    inside = ~observed[outside_gaps(masks)]
-    shares = inside.mean(axis=0) if len(inside) else np.zeros(len(names))
-    return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}
 
 
 def check_known(motion: AnyMotion) -> None:

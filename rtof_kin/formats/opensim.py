@@ -44,13 +44,13 @@ from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import measurable, read_text, write_text
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.formats.joint_trajectory import BASE_TURN
-from rtof_kin.formats.motion_views import AnyMotion, check_known, dofs_from_prior, even_times, from_prior
+from rtof_kin.formats.motion_views import AnyMotion, check_known, even_times, shares_from_prior
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 SUFFIXES: Final = (".mot", ".sto")
 _END: Final = "endheader"
 _STATE: Final = re.compile(r"(?:.*/)?([^/]+)/value")
-_OWN: Final = re.compile(r"Coordinates of the \.osim of the skeleton (\w+), zero in the T-pose")
+_OWN: Final = re.compile(r"^Coordinates of the \.osim of the skeleton (\w+), zero in the T-pose", re.MULTILINE)
 """Line in the header of this package's tables."""
 
 
@@ -96,10 +96,18 @@ def read_opensim_table(path: str | Path) -> OpenSimTable:
     table = np.array([_row(path, n, line, len(labels)) for n, line in rows])
     if not measurable(table):
         raise FileFormatError(path, "holds a number that cannot be an angle or a length")
-    names, columns = _coordinates(labels)
+    states = {i: found[1] for i, label in enumerate(labels) if (found := _STATE.fullmatch(label))}
+    chosen = states or dict(enumerate(labels[1:], 1))
+    header = "\n".join(lines[:end])
+    unit = re.search(r"^\s*indegrees\s*=\s*(yes|no)\s*$", header, re.IGNORECASE | re.MULTILINE)
+    if unit is None:
+        raise FileFormatError(
+            path, "the header does not state the unit of rotations: add a line inDegrees=yes or inDegrees=no"
+        )
+    own = _OWN.search(header)
     try:
         return OpenSimTable(
-            table[:, 0], names, table[:, columns], _in_degrees(path, lines[:end]), _skeleton(lines[:end])
+            table[:, 0], tuple(chosen.values()), table[:, list(chosen)], unit[1].lower() == "yes", own[1] if own else ""
         )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
@@ -117,27 +125,6 @@ def _row(path: Path, number: int, line: str, columns: int) -> list[float]:
         return [float(cell) if cell else float("nan") for cell in cells]
     except ValueError as error:
         raise FileFormatError(path, f"holds something else than numbers ({error})", number) from error
-
-
-def _coordinates(labels: list[str]) -> tuple[tuple[str, ...], list[int]]:
-    """Names of coordinates and their columns; of states, the values alone."""
-    states = {i: found[1] for i, label in enumerate(labels) if (found := _STATE.fullmatch(label))}
-    chosen = states or {i: label for i, label in enumerate(labels) if i > 0}
-    return tuple(chosen.values()), list(chosen)
-
-
-def _in_degrees(path: Path, header: list[str]) -> bool:
-    for line in header:
-        key, _, value = line.partition("=")
-        if key.strip().lower() == "indegrees" and value.strip().lower() in ("yes", "no"):
-            return value.strip().lower() == "yes"
-    raise FileFormatError(
-        path, "the header does not state the unit of rotations: add a line inDegrees=yes or inDegrees=no"
-    )
-
-
-def _skeleton(header: list[str]) -> str:
-    return next((found[1] for line in header if (found := _OWN.match(line))), "")
 
 
 _VERSION: Final = "40000"  #: Version of the format; every OpenSim 4 reads it
@@ -363,12 +350,13 @@ def _write_table(
 
 def _unseen(motion: MotionSource) -> list[str]:
     """Return a line each on unobserved joints and coordinates, if any."""
-    dofs = dofs_from_prior(motion)
+    found = shares_from_prior(motion)
+    dofs = found["dofs_from_prior"]
     unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}
     return [
         f"Unobserved {what} and the share of the frames: "
         + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items())
         + "."
-        for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen))
+        for what, shares in (("joints", found["from_prior"]), ("coordinates", unseen))
         if shares
     ]

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,9 +27,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.packages import optional
-from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
-from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.channels import PointChannels, StreamChannels
 from rtof_kin.formats.sensors.readings import lost
 
@@ -192,46 +190,34 @@ def _named(streams: Sequence[SensorStream], headers: Sequence[_Header], notes: l
     return tuple(named)
 
 
-@dataclass(frozen=True)
-class XdfPoints:
+class XdfPoints(NamedTuple):
     """Detected points of one person, from one stream."""
 
-    stream: str  #: Name of the stream
     times: Array  #: (T,) s, on the clock of the file's sensors
     uv_px: Array  #: (T, L, 2) px; NaN where unseen
     confidence: Array  #: (T, L) in [0, 1]; 0 where unseen
     names: tuple[str, ...]  #: L names
-    notes: tuple[str, ...]  #: Remarks, in sentences
-
-    def sequence(self, camera: Camera) -> KeypointSequence:
-        """Return the points as keypoints."""
-        return KeypointSequence(camera, self.times, self.uv_px, self.confidence, self.names)
 
 
-def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
-    """Read the detected points of a file; the stream's name is not needed where only one has points. `FileFormatError`:
-    unreadable, damaged, or no stream of points or several.
-    """
+def read_xdf_points(path: str | Path) -> XdfPoints:
+    """Read the detected points of a file; `FileFormatError`: unreadable, damaged, or no stream of points or several."""
     path = Path(path)
     structure = _read_structure(path)
 
     def understood(header: _Header) -> PointChannels:
-        if stream not in (None, header.name):
-            raise InvalidInputError(f"stream {header.name}: not asked for")
         try:
             StreamChannels.of(header.name, _labels(header), header.units, header.types)
         except InvalidInputError:
             return PointChannels.of(header.name, _labels(header), header.units)
         raise InvalidInputError(f"stream {header.name}: of inertial sensors")
 
-    found, notes = _understood(path, structure, understood, "of detected points")
+    found, _ = _understood(path, structure, understood, "of detected points")
     if len(found) > 1:
         names = ", ".join(header.name for header, _ in found)
-        raise FileFormatError(path, f"has {len(found)} streams of points ({names}); name one")
+        raise FileFormatError(path, f"has {len(found)} streams of points ({names}); keep one in a file")
     ((header, channels),) = found
-    ((times, values, own),), remarks = _load(path, structure, [header])
-    uv, confidence = channels.points(values)
-    return XdfPoints(header.name, times, uv, confidence, channels.names, (*own, *notes, *remarks))
+    ((times, values, _),), _ = _load(path, structure, [header])
+    return XdfPoints(times, *channels.points(values), channels.names)
 
 
 def _labels(header: _Header) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 Each possible fault is a hypothetical correction of the calibration. Its log-likelihood ratio against the
 calibration as declared is computed from movement (`rtof_kin.inertial.likelihood`), and it is reported if the
-ratio is large. A rotation of the world about the vertical is only observable with a camera, and swapped left
-and right sensors only with a sensor on a neighbouring segment.
+ratio is large. Swapped left and right sensors are only observable with a sensor on a neighbouring segment; a world that
+is turned about the vertical is measured against the image (`rtof_kin.reconstruction.checks.causes`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,6 @@ class FaultKind(Enum):
     SWAPPED = "the sensors of two segments that are no neighbours are swapped"
     STREAMS = "the samples of sensors are filed under each other's names"
     SEGMENT = "the sensor is on another segment than declared"
-    WORLD = "the sensors' world is turned about the vertical against the camera's"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +135,11 @@ def diagnose_setup(
     """
     R_pose = turned_to(pose_rotations(pose, skeleton), 0.0)
     motions = segment_motions(bone_imus)
-    total, seen = _scores(bone_imus, skeleton, visual)
+    total = _total(bone_imus, skeleton, visual)
     found: list[Fault] = []
     while len(found) < most:
         setup = _Setup(skeleton, {m.joint: m.p_bone_sensor for m in motions}, R_pose, calibration)
-        faults = [f for f in setup.possible_faults(seen) if f.kind in kinds]
+        faults = [f for f in setup.possible_faults() if f.kind in kinds]
         fault = _likeliest(total, motions, setup, faults)
         if fault is None:
             break
@@ -156,11 +155,11 @@ def setup_log_likelihood(
     """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations; see
     `diagnose_setup`.
     """
-    return _scores(bone_imus, skeleton, visual)[0](segment_motions(bone_imus))
+    return _total(bone_imus, skeleton, visual)(segment_motions(bone_imus))
 
 
-def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None) -> tuple[_Total, bool]:
-    """Return the total log-likelihood as a function of motions, and whether a camera saw them."""
+def _total(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None) -> _Total:
+    """Return the total log-likelihood as a function of motions."""
     times = even_times(bone_imus)
     seen = None if visual is None else seen_bones(visual, skeleton, times)
     likelihood = MotionLikelihood(skeleton, seen=seen)
@@ -173,7 +172,7 @@ def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSeq
         out += sum(pair(by_joint[a], by_joint[b]) for a, b in likelihood.tree(sorted(by_joint)))
         return float(weight * out)
 
-    return total, bool(seen)
+    return total
 
 
 def _likeliest(total: _Total, motions: Sequence[SegmentMotion], setup: _Setup, faults: Sequence[Fault]) -> Fault | None:
@@ -202,8 +201,8 @@ class _Setup:
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {name: j for j, name in enumerate(self.skeleton.names)})
 
-    def possible_faults(self, seen: bool) -> Iterator[Fault]:
-        """Generate all faults; those of the world only where a camera saw the movement."""
+    def possible_faults(self) -> Iterator[Fault]:
+        """Generate all faults."""
         for angle, way in _QUARTERS_DEG.items():
             turn = so3.about_axis("z", np.radians(angle))
             R_pose = {joint: self.R_pose[self.index[joint]] for joint in self.levers}
@@ -213,13 +212,6 @@ class _Setup:
                 "Calibrate again with the right facing, or estimate it from movement (facing=None)",
                 tuple(self._turned(joint, R.T @ turn @ R) for joint, R in R_pose.items()),
             )
-            if seen:
-                yield Fault(
-                    FaultKind.WORLD,
-                    f"the sensors' world has to be turned by {angle} degrees about the vertical to be the camera's",
-                    "Turn the sensors' references, or the camera's calibration, by that angle",
-                    tuple(self._turned(joint, np.eye(3), turn) for joint in self.levers),
-                )
         for joint, axis, angle in product(self.levers, "xyz", _QUARTERS_DEG):
             yield Fault(
                 FaultKind.MOUNTING,
@@ -238,7 +230,7 @@ class _Setup:
 
     def is_lone(self, fault: Fault) -> bool:
         """Return whether no sensor concerned has another one on a neighbouring segment."""
-        if fault.kind in (FaultKind.FACING, FaultKind.WORLD):
+        if fault.kind is FaultKind.FACING:
             return False
         parents = self.skeleton.parents
         own = {self.index[joint] for joint in self.levers}
@@ -274,8 +266,8 @@ class _Setup:
                 kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
                 yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
-    def _turned(self, joint: str, R_bone_new: Array, R_world_new: Array | None = None) -> _Change:
-        return _Change(joint, joint, R_bone_new, self.levers[joint], R_world_new)
+    def _turned(self, joint: str, R_bone_new: Array) -> _Change:
+        return _Change(joint, joint, R_bone_new, self.levers[joint])
 
     def _moved(self, declared: str, joint: str) -> _Change:
         """Assign a sensor to another segment; the pose had aligned it with the declared one."""

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
+from rtof_kin.live.samples import Clock, FrameSample, Sample
 
 VIDEO: Final = "video"  #: Name of the stream of frames, beside the sensors' names
 _WINDOW, _BIN = 10.0, 0.5  # [s] over which the earliest arrival counts, and its resolution
@@ -220,12 +220,3 @@ class SessionClock:
             return
         if not abs(arrival - stamp) <= _LEAP:
             self._maps[source] = ClockMap(source, Clock.OWN)
-
-
-def with_time(sample: Sample, time: float) -> Sample:
-    """Return a sample on the session's clock. `time`: s on the session's clock."""
-    if sample.time == time:
-        return sample
-    if isinstance(sample, FrameSample):
-        return FrameSample(time, sample.uv_px, sample.confidence)
-    return ImuSample(sample.sensor, time, sample.R_inertial_sensor, sample.f_sensor)

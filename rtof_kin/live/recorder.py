@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import RtofError, WritingError
+from rtof_kin.core.errors import WritingError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import check_replaceable, locked
 from rtof_kin.data.imu import ImuSequence
@@ -32,6 +32,7 @@ from rtof_kin.recording.recording import Recording
 _PENDING: Final = 30  # files that wait for a slow or full disk
 _AGAIN: Final = 1.0  # [s] until a file that could not be written is tried again
 _CLOSING: Final = 30.0  # [s] for which the last files are waited for
+_SLOW: Final = "the disk is too slow"
 
 
 @dataclass
@@ -39,12 +40,13 @@ class _Chunk:
     """What came in two seconds."""
 
     start: float
+    landmarks: tuple[str, ...]  #: Names of the points of its frames
     sensors: list[Arrived] = field(default_factory=list)
     frames: list[Arrived] = field(default_factory=list)
     estimates: list[OnlineEstimate] = field(default_factory=list)
     sentences: list[str] = field(default_factory=list)
 
-    def arrays(self, landmarks: Sequence[str], video_delay_s: float) -> dict[str, NDArray[Any]]:
+    def arrays(self, video_delay_s: float) -> dict[str, NDArray[Any]]:
         """Return the content of a file; kinds of data that there are none of are left out."""
         arrays: dict[str, NDArray[Any]] = {"video_delay_s": np.array(video_delay_s)}
         if self.sensors:
@@ -58,7 +60,7 @@ class _Chunk:
         if self.frames:
             samples = [arrived.sample for arrived in self.frames]
             arrays |= {f"video_{name}": values for name, values in _stamps(self.frames).items()}
-            arrays["landmarks"] = np.array(landmarks, dtype=str)
+            arrays["landmarks"] = np.array(self.landmarks, dtype=str)
             arrays["uv_px"] = np.array([sample.uv_px for sample in samples])
             arrays["confidence"] = np.array([sample.confidence for sample in samples])
         if self.estimates:
@@ -83,10 +85,6 @@ def _stamps(arrived: Sequence[Arrived]) -> dict[str, NDArray[Any]]:
         "arrival": np.array([one.arrival for one in arrived]),
         "time": np.array([one.time for one in arrived]),
     }
-
-
-_Job = tuple[_Chunk, tuple[str, ...], float]
-"""What a file has: samples and estimates, names of landmarks, delay of the video."""
 
 
 class Recorder:
@@ -125,7 +123,7 @@ class Recorder:
         _bare(setup, self.folder.name).save(self.folder / LIVE / SETUP)
         self._held = ExitStack()
         self._held.enter_context(locked(self.folder / LIVE))
-        self._jobs: deque[_Job] = deque()
+        self._jobs: deque[_Chunk] = deque()
         self._wake = Event()
         self._thread: Thread | None = None
         if in_background:
@@ -134,8 +132,7 @@ class Recorder:
 
     def landmarks(self, names: Sequence[str]) -> None:
         """Take the names of the points of the frames that follow."""
-        if self._chunk is not None and self._chunk.frames:
-            self._put(self._chunk)
+        self._put()
         self._landmarks = tuple(names)
 
     def add(self, arrived: Arrived) -> None:
@@ -160,15 +157,14 @@ class Recorder:
         """Write what is left; may be called twice."""
         if self._closed:
             return
-        if self._chunk is not None:
-            self._put(self._chunk)
+        self._put()
         self._closed = True
         self._wake.set()
         if self._thread is not None:
             self._thread.join(_CLOSING)
         self._held.close()
         if self._jobs:
-            problem = self._problem or "the disk is too slow"
+            problem = self._problem or _SLOW
             seconds = (len(self._jobs) + self._lost) * self._chunk_s
             self._notices.append(f"{self.folder}: the last {seconds:g} s are not recorded ({problem})")
 
@@ -184,19 +180,22 @@ class Recorder:
     # --- files -----------------------------------------------------------------------------------
 
     def _current(self, arrival: float) -> _Chunk:
-        if self._chunk is None or not 0 <= arrival - self._chunk.start < self._chunk_s:
-            if self._chunk is not None:
-                self._put(self._chunk)
-            self._chunk = _Chunk(arrival)
+        if self._chunk is not None and not 0 <= arrival - self._chunk.start < self._chunk_s:
+            self._put()
+        if self._chunk is None:
+            self._chunk = _Chunk(arrival, self._landmarks)
         return self._chunk
 
-    def _put(self, chunk: _Chunk) -> None:
-        self._chunk = None
+    def _put(self) -> None:
+        """Let what came be written."""
+        chunk, self._chunk = self._chunk, None
+        if chunk is None:
+            return
         if len(self._jobs) < _PENDING:
-            self._jobs.append((chunk, self._landmarks, self.video_delay_s))
+            self._jobs.append(chunk)
         else:
             if not self._lost:
-                problem = self._problem or "the disk is too slow"
+                problem = self._problem or _SLOW
                 self._notices.append(f"{self.folder}: the session goes on without being recorded ({problem})")
             self._lost += 1
         if self._thread is None:
@@ -214,32 +213,24 @@ class Recorder:
 
     def _write_due(self) -> None:
         """Write what waits, up to the first file that cannot be written."""
-        while self._jobs and self._write(*self._jobs[0]):
+        while self._jobs:
+            path = self.folder / LIVE / CHUNK.format(self._count + 1)
+            try:
+                write_npz(path, self._jobs[0].arrays(self.video_delay_s), overwrite=True)
+            except (WritingError, OSError, MemoryError) as error:
+                told, self._problem = self._problem, str(error.__cause__ or error) or type(error).__name__
+                if not told:
+                    self._notices.append(
+                        f"{self.folder}: {path.name} cannot be written ({self._problem}); make room, it is tried "
+                        "again every second"
+                    )
+                return
             self._jobs.popleft()
-
-    def _write(self, chunk: _Chunk, landmarks: tuple[str, ...], video_delay_s: float) -> bool:
-        """Return False if the disk takes no file now."""
-        path = self.folder / LIVE / CHUNK.format(self._count + 1)
-        try:
-            write_npz(path, chunk.arrays(landmarks, video_delay_s), overwrite=True)
-        except (WritingError, OSError, MemoryError) as error:
-            told = self._problem
-            self._problem = str(error.__cause__ or error) or type(error).__name__
-            if not told:
-                self._notices.append(
-                    f"{self.folder}: {path.name} cannot be written ({self._problem}); make room, it is tried "
-                    "again every second"
-                )
-            return False
-        except (RtofError, ValueError) as error:
-            self._notices.append(f"{self.folder}: {self._chunk_s:g} s are not recorded ({error})")
-            return True
-        self._count += 1
-        if self._problem:
-            lost = f"{self._lost * self._chunk_s:g} s in between" if self._lost else "nothing"
-            self._notices.append(f"{self.folder}: files are written again; lost: {lost}")
-            self._problem, self._lost = "", 0
-        return True
+            self._count += 1
+            if self._problem:
+                lost = f"{self._lost * self._chunk_s:g} s in between" if self._lost else "nothing"
+                self._notices.append(f"{self.folder}: files are written again; lost: {lost}")
+                self._problem, self._lost = "", 0
 
 
 def _bare(setup: Recording, name: str) -> Recording:

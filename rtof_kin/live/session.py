@@ -16,7 +16,7 @@ import numpy as np
 
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import RtofError
-from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of, with_time
+from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of
 from rtof_kin.live.feed import Feed, SinkGroup
 from rtof_kin.live.monitor import Monitor, State, StreamSummary
 from rtof_kin.live.recorder import Recorder
@@ -238,7 +238,7 @@ class LiveSession:
             self._left_out[stream] = self._left_out.get(stream, 0) + 1
             return
         try:
-            self._estimator.push(with_time(one.sample, one.time))
+            self._estimator.push(replace(one.sample, time=one.time))
         except RtofError as error:
             self._once(stream, str(error), f"{stream}: {error}", arrival)
 

@@ -144,69 +144,52 @@ def advice(plan: Plan) -> tuple[str, ...]:
     """Return what is not identifiable, the best camera place, the next sensor and how long to move."""
     found = list(_not_identifiable(plan.weaknesses))
     cameras = [option for option in plan.cameras if not option.problem]
-    if cameras and cameras[0].name == plan.protocol.camera.words:
-        best, worst = cameras[0], cameras[-1]
-        found.append(
-            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean {np.degrees(best.loss):.1f} deg, "
-            f"the worst ({worst.name.partition(', ')[0]}) {np.degrees(worst.loss):.1f} deg."
-        )
-    elif cameras and _is_clear(cameras[0]):
-        best = cameras[0]
-        found.append(
-            f"Better camera place: {best.name}; mean {np.degrees(best.loss):.1f} deg, "
-            f"{np.degrees(best.gain):.1f} deg less, most at {best.most.replace('_', ' ')}."
-        )
-    elif cameras:
-        best = cameras[0]
-        found.append(
-            f"No other camera place is clearly better; the best is {best.name}, by {np.degrees(best.gain):.1f} deg."
-        )
-    blind = [option for option in plan.cameras if option.problem]
-    if blind:
-        found.append(
-            f"{len(blind)} of {len(plan.cameras)} camera places are not possible; {blind[0].name}: {blind[0].problem}."
-        )
-    sensors = [option for option in plan.sensors if not option.problem and option.name]
-    if sensors:
+    if cameras:
+        best, worst, mean = cameras[0], cameras[-1], f"mean {np.degrees(cameras[0].loss):.1f} deg"
+        if best.name == plan.protocol.camera.words:
+            last = f"the worst ({worst.name.partition(', ')[0]}) {np.degrees(worst.loss):.1f} deg"
+            found.append(f"Camera place: {best.name}, the best of {len(cameras)} compared; {mean}, {last}.")
+        elif _is_clear(best):
+            found.append(f"Better camera place: {best.name}; {mean}, {_gain(best)}.")
+        else:
+            found.append(f"No other camera place is clearly better; the best is {best.name}, {_gain(best)}.")
+    if blind := [f"{option.name}: {option.problem}" for option in plan.cameras if option.problem]:
+        found.append(f"{len(blind)} of {len(plan.cameras)} camera places are not possible; {blind[0]}.")
+    if sensors := [option for option in plan.sensors if not option.problem and option.name]:
         best = sensors[0]
-        name = f"{best.name} ({where(plan.setup, best.name)})"
+        name, mean = f"{best.name} ({where(plan.setup, best.name)})", f"mean {np.degrees(best.loss):.1f} deg"
         found.append(
-            f"Best next sensor: {name}; mean {np.degrees(best.loss):.1f} deg, "
-            f"{np.degrees(best.gain):.1f} deg less, most at {best.most.replace('_', ' ')}."
+            f"Best next sensor: {name}; {mean}, {_gain(best)}."
             if _is_clear(best)
             else f"No further sensor lowers the mean by {100 * _CLEAR:.0f} %; the best is {name}."
         )
-    if plan.calibration is not None:
-        found.append(plan.calibration.words)
-    return tuple(found)
+    return tuple(found) if plan.calibration is None else (*found, plan.calibration.words)
 
 
 def _is_clear(option: Option) -> bool:
     return option.gain > _CLEAR * (option.loss + option.gain)
 
 
+def _gain(option: Option) -> str:
+    return f"{np.degrees(option.gain):.1f} deg less, most at {option.most.replace('_', ' ')}"
+
+
 def _not_identifiable(weaknesses: Sequence[Weakness]) -> Iterator[str]:
-    """Angles that are confused with each other in one sentence, and those that nothing depends on."""
-    groups: list[list[str]] = []
-    for weakness in weaknesses:
-        if not weakness.confused_with:
-            continue
-        both = [weakness.confused_with, weakness.angle]
-        joined = [group for group in groups if {*group} & {*both}]
-        groups = [group for group in groups if group not in joined]
-        groups.append(list(dict.fromkeys([name for group in joined for name in group] + both)))
-    for group in groups:
-        first, *others = (name.replace("_", " ") for name in group)
-        yield (
-            f"Not identifiable: {first} against {', '.join(others)}: changes of these together leave image "
-            "and sensors nearly as they are, so their split is that of a usual person."
-        )
-    alone = [weakness.angle.replace("_", " ") for weakness in weaknesses if not weakness.confused_with]
-    if alone:
-        yield (
-            f"Not identifiable: {', '.join(alone)}: image and sensors hardly depend on them, so they are "
-            "those of a usual person in this posture."
-        )
+    """Pairs of angles that are confused with each other, and angles that nothing depends on."""
+    pairs = {tuple(sorted((one.confused_with, one.angle))) for one in weaknesses if one.confused_with}
+    alone = [one.angle for one in weaknesses if not one.confused_with]
+    texts = (
+        (
+            " and ".join,
+            sorted(pairs),
+            "a change of both leaves image and sensors nearly as they are, so their split is",
+        ),
+        (str, alone, "image and sensors hardly depend on them, so they are"),
+    )
+    for joined, own, why in texts:
+        if own:
+            names = ", ".join(joined(one) for one in own).replace("_", " ")
+            yield f"Not identifiable: {names}: {why} that of a usual person in this posture."
 
 
 def where(setup: Setup, sensor: str) -> str:

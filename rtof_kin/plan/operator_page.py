@@ -17,13 +17,12 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import MovementInfo
-from rtof_kin.plan.protocol import Framing, framing, sensor_places
+from rtof_kin.plan.protocol import Framing, direction, framing, sensor_places
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reporting.html import render
 
@@ -52,14 +51,11 @@ def draw_setup(
 ) -> Framing:
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
-    The movement is on the floor z = 0; a .png or .svg file is replaced. Returns the numbers written in the drawing.
+    The movement is on the floor z = 0; an .svg file is replaced. Returns the numbers written in the drawing.
 
     Raises:
         UnknownNameError: a sensor that the skeleton does not have.
-        InvalidInputError: another kind of file.
     """
-    if path.suffix not in (".png", ".svg"):
-        raise InvalidInputError(f"{path}: a drawing is written as .png or .svg")
     places = sensor_places(skeleton, sensors)
     place = framing(poses, skeleton, camera)
     figure = Figure(figsize=(12.4, 6.0), layout="constrained")
@@ -73,8 +69,7 @@ def draw_setup(
     _picture(figure.add_subplot(grid[1, 0]), poses, skeleton, camera, place)
     settings: Any = {"svg.fonttype": "none", "svg.hashsalt": "rtof_kin"}
     with matplotlib.rc_context(settings), new_file(path, overwrite=True) as whole:
-        kind = path.suffix[1:]
-        figure.savefig(whole, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else None)
+        figure.savefig(whole, format="svg", metadata={"Date": None})
     return place
 
 
@@ -96,11 +91,11 @@ def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None
     ax.plot(*np.stack([at, place.middle]).T, "--", color=CAMERA, lw=1)
     ax.plot(*place.middle, "+", color=CAMERA, ms=9)
     style: Any = {"textcoords": "offset points", "color": CAMERA}
-    lens = f"lens {place.height:.2f} m high,\n{_tilt(place.tilt_deg)}"
+    lens = f"lens {place.height:.2f} m high,\n{place.tilt}"
     ax.annotate(lens, at, (0, -8), ha="center", va="top", fontsize=7.5, **style)
     ax.annotate(f"{place.distance:.2f} m", (at + place.middle) / 2, (4, 4), fontsize=8, **style)
     ax.set_title(
-        f"Camera {place.distance:.2f} m from the cross,\n{place.side},\n"
+        f"Camera {place.distance:.2f} m from the cross,\n{direction(place.angle_deg)},\n"
         f"field of view {place.field_deg[0]:.0f}°; arrow: facing at the start",
         fontsize=8.5,
     )
@@ -111,12 +106,6 @@ def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None
         axis_.set_major_locator(matplotlib.ticker.MultipleLocator(1.0))
     ax.grid(color="#dddddd", lw=0.6)
     ax.set_axisbelow(True)
-
-
-def _tilt(degrees: float) -> str:
-    if abs(degrees) < 1:
-        return "level"
-    return f"tilted {abs(degrees):.0f}° {'down' if degrees > 0 else 'up'}"
 
 
 def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float, view: str) -> None:
@@ -192,9 +181,6 @@ def _sticks(ax: Any, points: Array, skeleton: SkeletonModel, width: float) -> No
             ax.plot(*points[[parent, j]].T, color=colour, lw=width, solid_capstyle="round", alpha=0.75, zorder=1)
 
 
-MOST_LINES: Final = 29  #: Lines of all texts together that fit on the sheet beside the drawing
-_LINE: Final = 100  # characters, of a wide font
-
 _NEVER: Final = (
     "Do not move, zoom or turn the camera, and do not touch sensors or straps, before the recording is over.",
     "Nobody else in the picture; no loose clothes over sensors; no mirror behind the person.",
@@ -209,17 +195,8 @@ def operator_page(
 
     Shown first are `doubts`: what is wrong or unsure about this set-up, with its remedy; then the drawing's SVG text
     and the steps, e.g. of `operator_steps`, in order.
-
-    Raises:
-        InvalidInputError: more text than fits on the sheet.
     """
     person = movement.instructions[:1].upper() + movement.instructions[1:] + "."
-    lines = sum(1 + len(text) // _LINE for text in (title, person, *steps, *doubts))
-    if lines > MOST_LINES:
-        raise InvalidInputError(
-            f"operator's page: {lines} lines do not fit on one sheet; shorten steps and doubts to "
-            f"{MOST_LINES} lines of {_LINE} characters together with the title and the words to the person"
-        )
     drawing = base64.b64encode(drawing_svg.encode()).decode()
     return render(
         "instructions.html",
@@ -238,11 +215,9 @@ def operator_steps(
     movement: MovementInfo, place: Framing, sensors: dict[str, str], repetitions: int, seconds: float
 ) -> list[str]:
     """Return what the operator does, in order, for a movement of some seconds and maybe no sensors."""
-    tilt = f"tilted {abs(place.tilt_deg):.0f}° {'downwards' if place.tilt_deg > 0 else 'upwards'}"
-    tilt = "pointing level" if abs(place.tilt_deg) < 1 else tilt
     steps = [
         f"Camera on a tripod: lens {place.height:.2f} m over the floor, {place.distance:.2f} m from the "
-        f"cross in the drawing, {place.side}, {tilt}, its picture's horizon level.",
+        f"cross in the drawing, {direction(place.angle_deg)}, {place.tilt}, its picture's horizon level.",
         f"Lens: horizontal field of view {place.field_deg[0]:.0f}°; lock zoom, focus and exposure; switch "
         "stabilisation off.",
         f"Check in the picture: {place.view}.",

@@ -22,12 +22,13 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.jobs import JobResult, run_jobs
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -80,6 +81,7 @@ class Run:
     setup: Setup
     seed: int
     lifter: LifterLike | None = None
+    seconds: float = np.inf  #: [s] from its start that are calibrated by `calibration_time`
 
 
 def measure(run: Run) -> JobResult:
@@ -127,17 +129,16 @@ def predict(
     jobs = {
         f"{name}-{draw}": Run(setup, seed + draw, lifter) for name, setup in setups.items() for draw in range(draws)
     }
+    out: dict[str, Prediction | str] = {}
     with TemporaryDirectory() as folder:
         outcome = run_jobs(measure, jobs, Path(folder), workers, progress)
-        out: dict[str, Prediction | str] = {}
         for name in setups:
             keys = [f"{name}-{draw}" for draw in range(draws)]
-            failed = [outcome.failed[key] for key in keys if key in outcome.failed]
-            if failed:
+            if failed := [outcome.failed[key] for key in keys if key in outcome.failed]:
                 out[name] = failed[0]
-                continue
-            names = tuple(outcome.done[keys[0]]["angles"])
-            out[name] = Prediction.of([outcome.arrays(key) for key in keys], names)
+            else:
+                names = tuple(outcome.done[keys[0]]["angles"])
+                out[name] = Prediction.of([outcome.arrays(key) for key in keys], names)
     return out
 
 
@@ -190,14 +191,6 @@ class CalibrationTime:
         )
 
 
-@dataclass(frozen=True)
-class _Run:
-    setup: Setup
-    seconds: float
-    seed: int
-    lifter: LifterLike | None
-
-
 def calibration_time(
     setup: Setup,
     draws: int = 2,
@@ -216,30 +209,26 @@ def calibration_time(
     """
     if not setup.sensors:
         raise InvalidInputError("plan: without sensors there is nothing to calibrate")
-    longest = setup.poses.times[-1] - setup.poses.times[0]
-    lengths = [s for s in SECONDS if s < longest] + [float(min(longest, SECONDS[-1]))]
-    lengths = list(dict.fromkeys(lengths))
+    longest = float(min(setup.poses.times[-1] - setup.poses.times[0], SECONDS[-1]))
+    lengths = [*(seconds for seconds in SECONDS if seconds < longest), longest]
     jobs = {
-        f"{i}-{draw}": _Run(setup, seconds, seed + draw, lifter)
-        for i, seconds in enumerate(lengths)
-        for draw in range(draws)
+        f"{seconds:g}-{draw}": Run(setup, seed + draw, lifter, seconds) for seconds in lengths for draw in range(draws)
     }
+    rows: list[dict[str, Array]] = []
     with TemporaryDirectory() as folder:
         outcome = run_jobs(_measure, jobs, Path(folder), workers, progress)
-        rows: list[dict[str, Array]] = []
-        for i in range(len(lengths)):
-            keys = [f"{i}-{draw}" for draw in range(draws) if f"{i}-{draw}" in outcome.done]
-            if not keys:
+        for seconds in lengths:
+            arrays = [outcome.arrays(key) for key in outcome.done if key.startswith(f"{seconds:g}-")]
+            if not arrays:
                 problem = next(iter(outcome.failed.values()))
                 raise RtofError(f"plan: no simulated recording could be calibrated: {problem}")
-            arrays = [outcome.arrays(key) for key in keys]
             rows.append({name: np.sqrt(np.mean([a[name] for a in arrays])) for name in arrays[0]})
     sigma = {kind: np.array([row[kind] for row in rows]) for kind in PLANTED}
     error = {kind: np.array([row[f"{kind} error"] for row in rows]) for kind in PLANTED}
     return CalibrationTime(np.array(lengths), sigma, error)
 
 
-def _measure(run: _Run) -> JobResult:
+def _measure(run: Run) -> JobResult:
     """Mean squares of the standard deviations stated, and of the errors left."""
     poses = run.setup.poses
     poses = poses[: int(np.searchsorted(poses.times, poses.times[0] + run.seconds - 1e-9)) + 1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Final, Self
 
@@ -54,15 +55,10 @@ class Framing:
     outside, NaN where a landmark is behind the camera."""
 
     @property
-    def side(self) -> str:
-        """Direction in words."""
-        size = abs(self.angle_deg)
-        if size < 5:
-            return "straight in front of the person"
-        if size > 175:
-            return "straight behind the person"
-        side = "left" if self.angle_deg > 0 else "right"
-        return f"{size:.0f}° to the person's {side} of straight ahead"
+    def tilt(self) -> str:
+        """Tilt in words."""
+        down = "down" if self.tilt_deg > 0 else "up"
+        return "level" if abs(self.tilt_deg) < 1 else f"tilted {abs(self.tilt_deg):.0f}° {down}"
 
     @property
     def view(self) -> str:
@@ -142,6 +138,7 @@ _PLAUSIBLE: Final = {
     "rate_hz": (10, 400),
 }
 _FIELD_OF_VIEW_DEG: Final = (10.0, 150.0)
+_PLACE: Final = ("angle_deg", "distance_m", "height_m")
 
 
 @dataclass(frozen=True)
@@ -212,12 +209,11 @@ class Protocol:
         indices_of("angle", self.wanted, [row.name for row in angle_table(skeleton.table).rows])
         if self.detector not in DETECTORS:
             raise UnknownNameError("detector", [self.detector], DETECTORS)
-        if self.height_m is not None and not 0.8 <= self.height_m <= 2.3:
-            raise InvalidInputError(f"protocol: a height_m of {self.height_m:g} is not plausible")
-        if self.repetitions is not None and not 1 <= self.repetitions <= 50:
-            raise InvalidInputError(f"protocol: {self.repetitions} repetitions; expected 1 to 50")
-        if not 0.1 <= self.error_factor <= 10:
-            raise InvalidInputError(f"protocol: an error_factor of {self.error_factor:g}; expected 0.1 to 10")
+        ranges = {"height_m": (0.8, 2.3), "repetitions": (1, 50), "error_factor": (0.1, 10.0)}
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise InvalidInputError(f"protocol: {name} is {value:g}; expected {low:g} to {high:g}")
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -232,16 +228,15 @@ class Protocol:
         movement = top.movement
         if (path.parent / movement).is_dir():
             movement = str(path.parent / movement)
-        camera, possible = _camera(top.camera)
         return cls(
             movement,
             repetitions=top.repetitions,
             height_m=top.height_m,
-            camera=camera,
+            camera=top.camera.place(),
             sensors=top.sensors.worn,
             possible_sensors=top.sensors.possible,
-            possible_cameras=possible,
-            any_camera=not {"angle_deg", "distance_m", "height_m"} & top.camera.model_fields_set,
+            possible_cameras=top.camera.places(),
+            any_camera=not {*_PLACE} & top.camera.model_fields_set,
             detector=top.detector.points,
             error_factor=top.detector.error_factor,
             wanted=top.wanted.angles,
@@ -286,6 +281,26 @@ class CameraPlaceTable(InputTable):
     rate_hz: Number = CameraPlace.rate_hz
     possible: PossibleTable = PossibleTable()
 
+    def place(self) -> CameraPlace:
+        """Return the camera."""
+        focal = self.focal_px
+        if focal is None and self.field_of_view_deg is not None:
+            half = np.radians(np.clip(self.field_of_view_deg, *_FIELD_OF_VIEW_DEG)) / 2
+            focal = float(self.width_px / 2 / np.tan(half))
+        if focal is None:
+            focal = CameraPlace.focal_px * self.width_px / CameraPlace.width_px
+        given = self.model_dump(exclude={"possible", "field_of_view_deg", "focal_px"})
+        return CameraPlace(**given, focal_px=focal)
+
+    def places(self) -> tuple[CameraPlace, ...] | None:
+        """Return the positions that it could have, None where none are named."""
+        if not (names := self.possible.model_fields_set):
+            return None
+        rows = {n: getattr(self.possible, n).tolist() if n in names else [getattr(self, n)] for n in _PLACE[::-1]}
+        return tuple(
+            replace(self.place(), **dict(zip(rows, values, strict=True))) for values in product(*rows.values())
+        )
+
 
 class SensorsTable(InputTable):
     """Names of the skeleton's table."""
@@ -320,26 +335,6 @@ class ProtocolTable(InputTable):
     wanted: WantedTable = WantedTable()
 
 
-def _camera(table: CameraPlaceTable) -> tuple[CameraPlace, tuple[CameraPlace, ...] | None]:
-    """Return the camera, and the positions that it could have."""
-    focal = table.focal_px
-    if focal is None and table.field_of_view_deg is not None:
-        half = np.radians(np.clip(table.field_of_view_deg, *_FIELD_OF_VIEW_DEG)) / 2
-        focal = float(table.width_px / 2 / np.tan(half))
-    names = ("angle_deg", "distance_m", "height_m", "width_px", "height_px", "rate_hz")
-    usual = CameraPlace.focal_px * table.width_px / CameraPlace.width_px
-    camera = CameraPlace(**{name: getattr(table, name) for name in names}, focal_px=usual if focal is None else focal)
-    if not table.possible.model_fields_set:
-        return camera, None
-    angles, distances, heights = (
-        [getattr(camera, name)] if (given := getattr(table.possible, name)) is None else given.tolist()
-        for name in names[:3]
-    )
-    return camera, tuple(
-        replace(camera, angle_deg=a, distance_m=d, height_m=h) for h in heights for d in distances for a in angles
-    )
-
-
 def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace:
     """Return where a camera of a frame rate stands relative to a movement."""
     distance, height, angle_deg = stand_of(camera, poses)
@@ -366,4 +361,4 @@ def direction(angle_deg: float) -> str:
         180: "behind",
     }
     nearest = min(places, key=lambda place: abs(place - abs(angle)))
-    return f"{places[nearest]} the person ({180 if angle == -180 else angle:g} deg)"
+    return f"{places[nearest]} the person ({180 if angle == -180 else round(angle, 1):g} deg)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -100,17 +99,6 @@ def seen_share(setup: Setup) -> float:
 _LONGEST: Final = 30.0  #: [s] of a movement that are planned with
 
 
-@dataclass(frozen=True)
-class Moved:
-    """A movement that was recorded."""
-
-    poses: PoseSequence
-    skeleton: SkeletonModel
-    camera: Camera | None  #: That filmed it
-    sensors: tuple[str, ...]  #: Worn, by the usual names of their segments
-    floor_height: float | None  #: [m] z of a flat floor, where it is declared
-
-
 def planned(
     what: str | Path, lifter: LifterLike | None = None, progress: Progress | None = None
 ) -> tuple[Protocol, Setup]:
@@ -135,12 +123,11 @@ def planned(
             raise UnknownNameError("file, folder or movement", [str(what)], tuple(MOVEMENTS))
         protocol = Protocol(str(what), any_camera=True)
         return protocol, setup_of(protocol, lifter)
-    moved = _moved(folder, lifter, progress)
-    if moved.camera is None:
+    poses, skeleton, camera, sensors, floor = _moved(folder, lifter, progress)
+    if camera is None:
         raise InvalidInputError(f"plan: no camera filmed {folder}; name it as movement in a protocol's file")
-    place = place_of(moved.camera, moved.poses, moved.poses.rate_hz)
-    protocol = Protocol(str(folder), camera=place, sensors=moved.sensors)
-    return protocol, Setup(moved.poses, moved.skeleton, moved.camera, moved.sensors, floor_height=moved.floor_height)
+    protocol = Protocol(str(folder), camera=place_of(camera, poses, poses.rate_hz), sensors=sensors)
+    return protocol, Setup(poses, skeleton, camera, sensors, floor_height=floor)
 
 
 def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Progress | None = None) -> Setup:
@@ -150,8 +137,7 @@ def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Pro
         skeleton = skeleton if protocol.height_m is None else skeleton.with_height(protocol.height_m)
         poses = movement(protocol.movement, skeleton, protocol.repetitions, protocol.camera.rate_hz)
     elif Path(protocol.movement).is_dir():
-        moved = _moved(Path(protocol.movement), lifter, progress)
-        poses, skeleton = moved.poses, moved.skeleton
+        poses, skeleton, *_ = _moved(Path(protocol.movement), lifter, progress)
     else:
         raise UnknownNameError("movement", [protocol.movement], tuple(MOVEMENTS))
     return Setup(
@@ -159,8 +145,12 @@ def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Pro
     )
 
 
-def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -> Moved:
-    """The movement of a recording, which is reconstructed, or of a motion."""
+def _moved(
+    folder: Path, lifter: LifterLike | None, progress: Progress | None
+) -> tuple[PoseSequence, SkeletonModel, Camera | None, tuple[str, ...], float | None]:
+    """The movement of a recording, which is reconstructed, or of a motion; the camera that filmed it, usual names of
+    the sensors worn, and z of a flat floor, m, where it is declared.
+    """
     camera, joints, floor = None, tuple[str, ...](), None
     if (folder / INDEX).exists():
         recording = Recording.load(folder)
@@ -181,13 +171,8 @@ def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -
     if not stretches:
         raise InvalidInputError(f"plan: the motion of {folder} has no complete frame")
     start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-    poses = liveliest(motion.poses[start:stop], _LONGEST)
-    return Moved(poses, motion.skeleton, camera, _worn(motion.skeleton, joints), floor)
-
-
-def _worn(skeleton: SkeletonModel, joints: Sequence[str]) -> tuple[str, ...]:
-    """Usual names of the sensors on some segments."""
-    return tuple(name for name, (joint, _) in skeleton.sensors.items() if joint in joints)
+    sensors = tuple(name for name, (joint, _) in motion.skeleton.sensors.items() if joint in joints)
+    return liveliest(motion.poses[start:stop], _LONGEST), motion.skeleton, camera, sensors, floor
 
 
 def liveliest(poses: PoseSequence, seconds: float) -> PoseSequence:

@@ -19,7 +19,7 @@ from rtof_kin.protocols.published import METRICS, PUBLISHED, WITHOUT_METRIC, Met
 from rtof_kin.protocols.tables import NAME, Table
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting import document
-from rtof_kin.reporting.document import Document, Figure, Section
+from rtof_kin.reporting.document import Document, Figure, Section, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -139,7 +139,6 @@ def angle_document(
     tables = (error_table(rows, title, notes), published_table(rows), *further)
     figure = Figure("figures/angle_errors", "Errors of each joint angle, and published values", lambda: _figure(rows))
     plain = plain_rows(rows)
-    columns = list(plain[0]) if plain else ["angle"]
     return Document(
         NAME,
         "Errors of joint angles",
@@ -148,7 +147,7 @@ def angle_document(
         printed=tables,
         sections=[Section("errors", "", [*([figure] if rows else []), *tables])],
         figures=[figure] if rows else [],
-        tables={CSV: document.Table(columns, [list(row.values()) for row in plain])} | dict(files or {}),
+        tables={CSV: document.Table.of(plain) if plain else document.Table(["angle"], [])} | dict(files or {}),
         facts={"rows": plain} | dict(facts or {}) | {"tables": {table.name: table.as_dict() for table in tables}},
     )
 
@@ -196,11 +195,8 @@ def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
 
 def _figure(rows: Sequence[AngleErrors]) -> Plot:
     """Draw three metrics of every joint angle, and published values in their colours."""
-    from matplotlib.figure import Figure as Plot
-
     own = [row for row in rows if row.movement == ALL]
-    figure = Plot(figsize=(9.5, 1.2 + 0.34 * len(own)), layout="constrained")
-    axes = figure.subplots()
+    figure, ((axes,),) = subplots(1, 1, (9.5, 1.2 + 0.34 * len(own)))
     for height, row in enumerate(own):
         for metric, colour in _COLOURS.items():
             value = np.degrees(getattr(row, metric))

@@ -129,9 +129,10 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
     ]
     found = {job.subject for job in protocol.jobs().values()}
     absent = [subject for subject in protocol.subjects if subject not in found]
-    if outcome.failed or absent:
-        lacking = [f"{len(outcome.failed)} recordings"] if outcome.failed else []
-        lacking += [f"any of {subject}" for subject in absent]
+    if lacking := [
+        *([f"{len(outcome.failed)} recordings"] if outcome.failed else []),
+        *(f"any of {s}" for s in absent),
+    ]:
         notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
     columns = ["method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
     columns += ["Procrustes [mm]", "absolute [mm]"]

@@ -20,7 +20,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_errors import AngleDifferences, angle_differences, angle_errors, error_rows
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import indices_of, some
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.manifest import make_folders
@@ -116,9 +116,8 @@ class ValidationProtocol:
         self, folder: Path, *, overwrite: bool = False, workers: int | None = None, progress: Progress | None = None
     ) -> Outcome:
         """Measure the takes that have no result yet, see `rtof_kin.protocols.run`."""
-        takes = self.chosen
         runs = open_runs(folder, self.settings(), overwrite, None, {})
-        videos = {take.key: found for take in takes if (found := _video_of(self, take)) is not None}
+        videos = {take.key: found for take in self.chosen if (found := _video_of(self, take)) is not None}
         names = {video: f"{number:04d}_{video.stem}" for number, video in enumerate(sorted(set(videos.values())))}
         detected = Outcome(folder, {}, {})
         if names:
@@ -127,8 +126,8 @@ class ValidationProtocol:
             arguments = {name: (video, self.models) for video, name in names.items()}
             detected = run_jobs(detect, arguments, into, workers, progress)
         jobs = {}
-        for take in takes:
-            name = names.get(videos[take.key], "") if take.key in videos else ""
+        for take in self.chosen:
+            name = names[videos[take.key]] if take.key in videos else ""
             done = detected.folder / f"{name}.npz" if name in detected.done else None
             jobs[take.key] = ValidationJob(self, take, folder / "takes" / take.key, done, detected.failed.get(name, ""))
         return run_jobs(measure, jobs, runs, workers, progress)
@@ -268,24 +267,21 @@ def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> 
     Raises:
         InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`, `calibrate_by_pose`.
     """
-    mode = job.protocol.own_mode
-    if mode in _WITH_SENSORS and inputs.sensors is None:
+    mode, sensors = job.protocol.own_mode, inputs.sensors
+    if mode in _WITH_SENSORS and sensors is None:
         raise InvalidInputError(f"it has no sensors, which mode {mode} needs; use --mode rto")
-    return _of_sensors(job.take, inputs) if mode == "imu" else _of_images(job, inputs, lifter)
-
-
-def _of_sensors(take: Take, inputs: TakeInputs) -> tuple[Recording, list[str]]:
-    assert inputs.sensors is not None
+    if mode != "imu" or sensors is None:
+        return _of_images(job, inputs, lifter)
     if not inputs.pose:
         raise CalibrationError(
             "no pose is documented by which its sensors could be calibrated; use a mode with the camera"
         )
     skeleton = SkeletonModel.default()
     skeleton = skeleton if inputs.height is None else skeleton.with_height(inputs.height)
-    log = inputs.sensors.select(list(inputs.places))
+    log = sensors.select(list(inputs.places))
     joints = {sensor: known_segment(place, skeleton) for sensor, place in inputs.places.items()}
     found = calibrate_by_pose(log, joints, inputs.pose, skeleton, still=inputs.still)
-    recording = Recording(take.key, imus=imus_of_log(log), calibration=found.calibration, height=inputs.height)
+    recording = Recording(job.take.key, imus=imus_of_log(log), calibration=found.calibration, height=inputs.height)
     return recording, list(found.warnings)
 
 
@@ -362,9 +358,8 @@ def first_line(protocol: ValidationProtocol, outcome: Outcome) -> str:
     done, failed, mode = outcome.done, outcome.failed, protocol.own_mode
     text = f"{SETS[protocol.dataset].title}, mode {mode}: {len(done)} of {len(done) + len(failed)} takes measured"
     if failed:
-        named = "; ".join(f"{key}: {reason}" for key, reason in list(failed.items())[:3])
-        more = f"; and {len(failed) - 3} more, see the table of takes" if len(failed) > 3 else ""
-        text += f", {len(failed)} FAILED and are in no error below ({named}{more})"
+        named = some([f"{key}: {reason}" for key, reason in failed.items()], 3, "; ")
+        text += f", {len(failed)} FAILED and are in no error below ({named})"
     circular = sum(bool(facts["of_sensors"]) for facts in done.values())
     if circular and mode in _WITH_SENSORS:
         text += (
@@ -372,10 +367,9 @@ def first_line(protocol: ValidationProtocol, outcome: Outcome) -> str:
             f"this mode uses; use --mode rto, or a reference of markers"
         )
     if apart := [key for key, facts in done.items() if HARDLY in facts["clock"]["how"]]:
-        named = ", ".join(apart[:5]) + (", ..." if len(apart) > 5 else "")
         text += (
             f". IN DOUBT: in {len(apart)} takes {HARDLY}, so that their errors may be those of the clock, or "
-            f"of another movement: {named}; leave them out by --takes"
+            f"of another movement: {some(apart, 5)}; leave them out by --takes"
         )
     return text + "."
 
@@ -391,9 +385,8 @@ def takes_table(takes: tuple[Take, ...], outcome: Outcome) -> Table:
             continue
         clock, reasons = facts["clock"], dict[str, list[str]]()
         for name, reason in facts["left_out"].items():
-            how = "left out, as it " if reason.startswith(("does", "depends")) else "left out, "
-            reasons.setdefault(how + reason, []).append(name)
-        left_out = [f"{reason}: {', '.join(names)}" for reason, names in reasons.items()]
+            reasons.setdefault(reason, []).append(name)
+        left_out = [f"left out ({reason}): {', '.join(names)}" for reason, names in reasons.items()]
         said = "; ".join((clock["how"], *left_out, *facts["notes"]))
         cells.append((take.key, take.kind, clock["shift_s"], clock.get("agreement"), said))
     columns = ("take", "movement", "shift [s]", "agreement", "clock, and what was left out or is in doubt")

@@ -21,9 +21,9 @@ from rtof_kin.calibration.clock_scan import (
 )
 from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
-from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
+from rtof_kin.calibration.shared_fragments import Slice
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.metrics import hinges
-from rtof_kin.calibration.camera_estimate import FOUND, CameraEstimate, prior_sigma
-from rtof_kin.calibration.camera_unknowns import UNKNOWNS
+from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95

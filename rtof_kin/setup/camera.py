@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.calibration.camera_unknowns import pitch_and_roll
+from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.camera_motion import CameraMotion

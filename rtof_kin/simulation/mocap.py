@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -284,7 +285,7 @@ def read_corpus(
     for row in rows:
         if subjects is not None and row["subject"] not in subjects:
             continue
-        whole = read_mocap(root / row["file"], rate_hz=_rate(root, row), output_rate_hz=None)
+        whole = read_mocap(root / row["file"], rate_hz=float(row["fps"]), output_rate_hz=None)
         p = whole.poses.p_world_joint.copy()
         p[..., 2] -= np.percentile(p[:, feet, 2].min(axis=1), 5) - ANKLE_HEIGHT
         poses, quality = replace(whole.poses, p_world_joint=p), row["quality"]
@@ -300,29 +301,19 @@ def _index_rows(path: Path) -> list[dict[str, str]]:
     columns = ("file", "subject", "tc_like", "fps", "quality")
     reader = csv.DictReader(io.StringIO(read_text(path, "a CSV file"), newline=""), restval="")
     try:
-        lacking = set(columns) - set(reader.fieldnames or ())
-        if lacking:
+        if lacking := set(columns) - set(reader.fieldnames or ()):
             raise FileFormatError(path, f"no column {', '.join(sorted(lacking))}", 1)
-        rows = [{column: row[column] for column in columns} for row in reader]
+        rows = [{column: row[column] for column in columns} for row in reader if row["tc_like"] != "skeleton"]
     except csv.Error as error:
         raise FileFormatError(path, f"not a readable CSV file: {error}") from error
     for row in rows:
+        row |= _CORRECTIONS.get(row["file"], {})
         if path_inside(path.parent, row["file"]) is None:
             raise FileFormatError(path, f"{row['file'][:100]!r} is not a file inside this folder")
-    motions = [row for row in rows if row["tc_like"] != "skeleton"]
-    return [{**row, **_CORRECTIONS.get(row["file"], {})} for row in motions]
-
-
-def _rate(root: Path, row: dict[str, str]) -> float:
-    """Return the rate of the index, Hz."""
-    try:
-        rate_hz = float(row["fps"])
-    except ValueError:
-        rate_hz = np.nan
-    if not 1e-3 < rate_hz < 1e6:
-        problem = f"{row['file']}: fps is {row['fps'][:40]!r}, not a number of frames per second"
-        raise FileFormatError(root / "index.csv", problem)
-    return rate_hz
+        if not re.fullmatch(r"\d{1,6}(\.\d*)?", row["fps"].strip()) or float(row["fps"]) < 1e-3:
+            problem = f"{row['file']}: fps is {row['fps'][:40]!r}, not a number of frames per second"
+            raise FileFormatError(path, problem)
+    return rows
 
 
 def without_spikes(clip: MocapClip) -> list[MocapClip]:

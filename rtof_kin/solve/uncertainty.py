@@ -120,8 +120,8 @@ SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relati
 """Classes of observations, and the kinds of covariances that have them."""
 OTHER: Final = "other"  #: Name of the default widening
 USUAL_TORSO_SIGMA: Final = 0.09  #: [rad] Usual sigma of pelvis and upper trunk by the lifter
-_SHARES: Final = "apart"  #: Table of the factors a in a file
-_DEPTHS: Final = "depth"  #: Table of the shares f in a file
+SHARES: Final = "apart"  #: Table of the factors a in a file
+DEPTHS: Final = "depth"  #: Table of the shares f in a file
 WHITE_FACTOR: Final = 1.2  #: k0, fitted with white 2D errors and eight real sensors
 
 
@@ -190,7 +190,7 @@ class CovarianceInflation:
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a file that `text` wrote.
+        """Read a file such as ``models/confidence.toml``.
 
         Raises:
             FileFormatError: it is not one.
@@ -201,26 +201,9 @@ class CovarianceInflation:
                 seen: {kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()} for kind in kinds}
                 for seen, kinds in SEEN.items()
             }
-            return cls(widenings, data.get(_SHARES, {}), data.get(_DEPTHS, {}))
+            return cls(widenings, data.get(SHARES, {}), data.get(DEPTHS, {}))
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
-
-    def text(self) -> str:
-        """Return it as TOML."""
-        lines = [f"[{_SHARES}]  # of the distance between solution and start"]
-        for seen, shares in self.shares.items():
-            entries = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
-            lines.append(f"{seen} = {{ {entries} }}")
-        lines += ["", f"[{_DEPTHS}]  # of the distance from the camera"]
-        lines += [f"{seen} = {share:.3g}" for seen, share in self.depths.items()]
-        lines.append("")
-        for seen, kinds in SEEN.items():
-            for kind in kinds:
-                lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
-                for name, w in self.widenings[seen][kind].items():
-                    lines.append(f'"{name}" = {{ factor = {_text(w.factor)}, floor = {_text(w.floor)} }}')
-                lines.append("")
-        return "\n".join(lines)
 
     def apply(
         self,
@@ -291,11 +274,6 @@ def outer_squares(vectors: Array) -> Array:
 def unsided(name: str) -> str:
     """Return a joint's name, or those of a pair separated by a space, without their side."""
     return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
-
-
-def _text(value: Array) -> str:
-    rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
-    return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
 
 
 _LAG: Final = 1 / 15  #: [s] Lag of the autocorrelation

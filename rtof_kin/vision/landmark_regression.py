@@ -310,11 +310,15 @@ def recognise(
     table, K = regression.table, uv_px.shape[-2]
     wanted = [table.layout(layout)] if layout is not None else list(table.layouts.values())
     if names is not None:
-        found = _by_names(names, wanted)
-        if found is not None:
-            return found
+        named = [(form, order) for form in wanted if (order := form.order(names)) is not None]
+        if named:
+            form, order = max(named, key=lambda pair: len(pair[0]))
+            return Recognition(form, f"{form.title}: its {len(form)} points are named", tuple(order))
         if layout is not None or not all(name.strip().isdigit() for name in names):
-            raise InvalidInputError(_no_such_names(names, wanted, layout))
+            lacking = [name for name in wanted[0].names if name not in names][:5]
+            why = f"no layout; known: {', '.join(form.name for form in wanted)}"
+            why = why if layout is None else f"not layout {layout}: there is no {', '.join(lacking)}"
+            raise InvalidInputError(f"the points are named {', '.join(names[:5])}, ..., which is {why}")
     same = [form for form in table.layouts.values() if len(form) == K]
     if layout is not None and len(wanted[0]) != K:
         others = ", ".join(form.name for form in same) or "none of those known"
@@ -323,24 +327,6 @@ def recognise(
         known = ", ".join(f"{form.name} ({len(form)})" for form in table.layouts.values())
         raise InvalidInputError(f"no layout has {K} points; known: {known}; or name each point in landmarks")
     return _decided(_fits(regression, same, uv_px, confidence), layout)
-
-
-def _by_names(names: Sequence[str], wanted: Sequence[Layout]) -> Recognition | None:
-    """Return the largest layout all of whose points are named."""
-    found = [(form, order) for form in wanted if (order := form.order(names)) is not None]
-    if not found:
-        return None
-    form, order = max(found, key=lambda pair: len(pair[0]))
-    return Recognition(form, f"{form.title}: its {len(form)} points are named", tuple(order))
-
-
-def _no_such_names(names: Sequence[str], wanted: Sequence[Layout], layout: str | None) -> str:
-    given = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
-    if layout is None:
-        known = ", ".join(form.name for form in wanted)
-        return f"the points are named {given}, which is no layout; known: {known}"
-    lacking = [name for name in wanted[0].names if name not in names]
-    return f"layout {layout}: the points are named {given}; there is no {', '.join(lacking[:5])}"
 
 
 def _fits(regression: LandmarkRegression, forms: Sequence[Layout], uv_px: Array, confidence: Array) -> list[_Fit]:

@@ -276,7 +276,11 @@ def choose_detector(models: str | Path | None = None) -> PersonDetector:
             return _given(folder)
     if contained_models() is not None:
         return MediaPipeDetector()
-    raise RtofError(_missing())
+    ways = [_way(wanted) for wanted in model_sets()]
+    ways.append("your own .onnx or .task models: --model-dir DIR")
+    ways.append("keypoints of another program: give their file instead of the video")
+    listed = "\n".join(f"  {i}. {way}" for i, way in enumerate(ways, 1))
+    raise RtofError(f"no detector of people is at hand, and nothing is downloaded unasked. Choose one:\n{listed}")
 
 
 def _given(path: Path) -> PersonDetector:
@@ -289,15 +293,6 @@ def _given(path: Path) -> PersonDetector:
         names = ", ".join(bundle.name for bundle in bundles)
         raise FileFormatError(path, f"several models: {names}; leave one of them there")
     return MediaPipeDetector(bundles[0])
-
-
-def _missing() -> str:
-    """Return what would provide a detector, as one message with commands."""
-    ways = [_way(wanted) for wanted in model_sets()]
-    ways.append("your own .onnx or .task models: --model-dir DIR")
-    ways.append("keypoints of another program: give their file instead of the video")
-    listed = "\n".join(f"  {i}. {way}" for i, way in enumerate(ways, 1))
-    return f"no detector of people is at hand, and nothing is downloaded unasked. Choose one:\n{listed}"
 
 
 def _way(wanted: ModelSet) -> str:

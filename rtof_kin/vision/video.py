@@ -101,13 +101,22 @@ def _file(path: str | Path) -> Iterator[VideoFrame]:
         stream.thread_type = "AUTO"
         slowed = slow_motion(container, stream)
         total = frame_count(container, stream)
-        clock = _FileClock(path, frame_rate(stream))
-        index = -1
+        rate_hz, index, first, now = frame_rate(stream), -1, None, -np.inf
         for index, frame in enumerate(_decoded(path, container, stream)):
-            now = clock(frame.time) / slowed
-            yield VideoFrame(now, upright_image(frame, stream), index, total)
+            first = (frame.time or 0.0) if first is None else first
+            now = _next_time(path, now, None if frame.time is None else frame.time - first, rate_hz)
+            yield VideoFrame(now / slowed, upright_image(frame, stream), index, total)
         if index < 0:
             raise FileFormatError(path, "there is no readable frame in it")
+
+
+def _next_time(path: str | Path, last: float, stamp: float | None, rate_hz: float | None) -> float:
+    """Return the time after `last`, s: the time stamp where it increases, else by the frame rate."""
+    if stamp is None or stamp <= last:
+        if rate_hz is None:
+            raise FileFormatError(path, "has neither times nor a frame rate; convert it first")
+        stamp = last + 1 / rate_hz
+    return max(stamp, 0.0)
 
 
 def _decoded(path: str | Path, container: Any, stream: Any) -> Iterator[Any]:
@@ -124,27 +133,6 @@ def _decoded(path: str | Path, container: Any, stream: Any) -> Iterator[Any]:
             damaged += 1
     if damaged:
         _log.warning("%s: %d damaged parts were skipped", path, damaged)
-
-
-class _FileClock:
-    """Times since the first frame: time stamps while they increase, else the frame rate."""
-
-    def __init__(self, path: str | Path, rate_hz: float | None):
-        self._path = path
-        self._step = None if rate_hz is None else 1 / rate_hz
-        self._first: float | None = None
-        self._last = -np.inf
-
-    def __call__(self, stamp: float | None) -> float:
-        if self._first is None:
-            self._first = 0.0 if stamp is None else stamp
-        now = -np.inf if stamp is None else stamp - self._first
-        if now <= self._last:
-            if self._step is None:
-                raise FileFormatError(self._path, "has neither times nor a frame rate; convert it first")
-            now = self._last + self._step
-        self._last = max(now, 0.0)
-        return self._last
 
 
 def _webcam(number: int) -> Iterator[VideoFrame]:

@@ -79,26 +79,6 @@ def test_a_take_begins_in_the_documented_pose(paths: dict[str, Path]) -> None:
     np.testing.assert_allclose(R.apply([0, 0, 1]), np.tile([0, -1, 0], (21, 1)), atol=0.2)
 
 
-def test_the_bvh_file_has_the_same_motion(paths: dict[str, Path]) -> None:
-    from rtof_kin.formats.bvh import read_bvh
-
-    text = paths["bvh"].read_text()
-    order = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
-    assert text.count("JOINT") == 26
-    assert text.count(order) == 27
-    motion = read_bvh(paths["bvh"])
-    p, R = motion.forward_kinematics()
-    names, expected = table(paths["positions"])
-    _, quat = table(paths["orientations"])
-    index = [motion.names.index(name) for name in names]
-    np.testing.assert_allclose(p[:, index], expected, atol=2e-4)
-    R_expected = Rotation.from_quat(quat.reshape(-1, 4)).as_matrix().reshape(*quat.shape[:2], 3, 3)
-    np.testing.assert_allclose(R[:, index], R_expected, atol=2e-5)
-    assert {"RightHandEnd", "LeftHandThumb1", "RightToeBase"} <= set(motion.names)
-    left, right = (motion.offsets[motion.names.index(f"{side}HandEnd")] for side in ("Left", "Right"))
-    np.testing.assert_allclose(left, right * [-1, 1, 1])
-
-
 # --- IMUs ----------------------------------------------------------------------------------------
 
 
@@ -115,18 +95,15 @@ def test_ref_imu_and_bone_close_to_the_vicon_orientation(paths: dict[str, Path])
         assert np.degrees((R.inv() * expected).magnitude().max()) < 0.01
 
 
-# --- cameras -------------------------------------------------------------------------------------
-
-
 # --- layouts, bodies, motion ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("layout", files.LAYOUTS)
-def test_every_layout_has_seven_files_per_take(layout: str, tmp_path: Path) -> None:
+def test_every_layout_has_six_files_per_take(layout: str, tmp_path: Path) -> None:
     one = standin.write_take(tmp_path, support.take(), layout)
     two = standin.write_take(tmp_path, support.take("S4"), layout)
-    assert set(one) == {"positions", "orientations", "bvh", "sensors", "aux", "ref", "bone"}
-    assert len({*one.values(), *two.values()}) == 14
+    assert set(one) == {"positions", "orientations", "sensors", "aux", "ref", "bone"}
+    assert len({*one.values(), *two.values()}) == 12
     assert all(path.is_file() for path in [*one.values(), *two.values()])
 
 

@@ -139,18 +139,6 @@ def test_flexion_is_the_angle_between_adjacent_bones_and_averaged_over_four_hing
     assert "flexion_deg" not in figures.per_joint["Head"]
 
 
-@pytest.mark.parametrize(
-    "name, expected",
-    [
-        ("total_capture", {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}),
-        ("human36m", {"LKnee", "RKnee", "LElbow", "RElbow"}),
-    ],
-)
-def test_hinges_are_knees_and_elbows(name: str, expected: set[str]) -> None:
-    skeleton = SkeletonModel.named(name)
-    assert {skeleton.names[j] for j in metrics.hinges(skeleton)} == expected
-
-
 def test_zero_motion_has_the_mean_pose(truth: PoseSequence) -> None:
     still = metrics.motionless(truth)
     figures = evaluate(still, truth)

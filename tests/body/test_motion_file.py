@@ -157,15 +157,6 @@ def test_gaps_are_kept(tmp_path: Path, motion: Motion) -> None:
     assert not read.poses.valid[3].any()
 
 
-def test_skeleton_is_found_by_name(tmp_path: Path) -> None:
-    motion = planted.moving(SkeletonModel.human36m(), 4)
-    write_motion(tmp_path / "m.h5", motion)
-    read = Motion.load(tmp_path / "m.h5")
-    assert read.skeleton.names == motion.skeleton.names
-    with pytest.raises(FileFormatError, match="'horse'"):
-        Motion.load(changed(tmp_path / "m.h5", skeleton=np.array("horse")))
-
-
 ARRAYS = (
     "schema_version",
     "times",

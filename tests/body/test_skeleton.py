@@ -82,13 +82,6 @@ def test_shipped_skeletons_have_a_free_base_and_three_angles_per_joint() -> None
         DEFAULT.index("LeftLegg")
 
 
-def test_skeleton_is_loaded_by_name() -> None:
-    assert SkeletonModel.named("total_capture").names == DEFAULT.names
-    assert SkeletonModel.named("human36m").name == "human36m"
-    with pytest.raises(UnknownNameError, match=r"unknown skeleton 'h36m'.*Known: total_capture"):
-        SkeletonModel.named("h36m")
-
-
 def test_limits_are_in_the_order_of_the_dof_names(any_skeleton: SkeletonModel) -> None:
     by_name = dict(zip(any_skeleton.dof_names, any_skeleton.limits, strict=True))
     for joint in any_skeleton.table.joints:
@@ -302,14 +295,6 @@ def test_urdf_keeps_its_own_limits_and_masses(tmp_path: Path) -> None:
     assert pin.computeTotalMass(back.model) == pytest.approx(90 * 0.99995 + 0.04)
 
 
-def test_personal_human36m_urdf_is_read_with_its_table(tmp_path: Path) -> None:
-    person = SkeletonModel.human36m().with_height(1.6)
-    path = tmp_path / "h.urdf"
-    path.write_text(person.to_urdf())
-    back = SkeletonModel.from_urdf(path, model_path("human36m.toml"))
-    assert_close(back.joint_offsets, person.joint_offsets, 1e-12)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -359,18 +344,7 @@ def test_smooth_angles_are_recovered_over_turns_and_singular_postures(any_skelet
     assert (np.ptp(q[:, 7:], axis=0) > 2 * np.pi).sum() > 20
     found = any_skeleton.inverse_kinematics(*any_skeleton.forward_kinematics(q))
     assert_close(found[:, 7:], q[:, 7:], 1e-8)
-
-
-def test_joint_passing_its_singular_posture_stays_on_the_smooth_branch() -> None:
-    T = 2000
-    for name in ("LeftArm", "LeftLeg", "Spine"):
-        joint = next(j for j in DEFAULT.table.joints if j.name == name)
-        columns = [7 + DEFAULT.dof_names.index(dof.urdf) for dof in joint.dofs]
-        q = np.tile(DEFAULT.t_pose(), (T, 1))
-        q[:, columns[0]], q[:, columns[2]] = 0.3, -0.2
-        q[:, columns[1]] = np.linspace(0, 6 * np.pi, T) + 1e-4
-        found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
-        assert_close(found, q, 1e-6)
+    assert np.abs(np.diff(found[:, 3:7], axis=0)).max() < 0.1
 
 
 def test_poses_are_exact_at_a_singular_posture() -> None:
@@ -415,20 +389,6 @@ def test_frames_with_nan_give_nan_rows_and_the_branch_is_kept() -> None:
     assert nothing.shape == (3, 67)
     assert np.isnan(nothing).all()
     assert DEFAULT.inverse_kinematics(np.empty((0, 21, 3))).shape == (0, 67)
-
-
-def test_only_the_root_position_is_used_with_given_orientations() -> None:
-    p, R = DEFAULT.forward_kinematics(random_q(DEFAULT, 5))
-    p_other = p.copy()
-    p_other[:, 1:] = np.nan
-    assert_close(DEFAULT.inverse_kinematics(p_other, R), DEFAULT.inverse_kinematics(p, R), 0)
-
-
-def test_root_quaternion_is_continuous_over_several_turns() -> None:
-    q = np.tile(DEFAULT.t_pose(), (500, 1))
-    q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis("z", np.linspace(0, 25, 500))), -1, -1)
-    found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
-    assert np.abs(np.diff(found[:, 3:7], axis=0)).max() < 0.05
 
 
 def test_positions_alone_are_reproduced_and_twist_follows_the_parent(motion: Motion) -> None:
@@ -493,16 +453,6 @@ def test_limit_violations_are_reported_and_nothing_is_clipped() -> None:
     assert_close(found, q)
 
 
-def test_nan_frames_violate_nothing() -> None:
-    q = np.full((3, 67), np.nan)
-    report = DEFAULT.check(q)
-    assert report.violations == {}
-    assert not report.singular.any()
-    q[1] = DEFAULT.n_pose()
-    q[1, 7] = 9.0
-    assert list(DEFAULT.check(q).violations) == [DEFAULT.dof_names[0]]
-
-
 # --- motion -------------------------------------------------------------------------------------------
 
 
@@ -513,15 +463,6 @@ def test_motion_of_poses_reproduces_them(motion: Motion) -> None:
     np.testing.assert_array_equal(again.poses.provenance, motion.poses.provenance)
     np.testing.assert_array_equal(again.times, motion.times)
     assert_close(again.q, motion.q, 1e-8)
-
-
-def test_motion_of_another_body_has_its_own_bones(motion: Motion) -> None:
-    short = motion.skeleton.with_height(1.4)
-    out = short.motion(motion.poses)
-    assert_close(out.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0])
-    assert_close(out.poses.R_world_bone, motion.poses.R_world_bone)
-    lengths = np.linalg.norm(out.poses.p_world_joint[:, 3] - out.poses.p_world_joint[:, 2], axis=-1)
-    assert_close(lengths, short.bone_lengths["Spine2"])
 
 
 def test_motion_of_other_joints_or_in_another_order_is_refused(motion: Motion) -> None:
@@ -544,11 +485,3 @@ def test_limits_are_checked_on_equivalent_angles(skeleton: SkeletonModel) -> Non
     q[1, elbow] = inside + 2 * np.pi * np.array([1, 0, -1])
     q[2, elbow] = [inside[0] + np.pi, np.pi - inside[1], inside[2] - np.pi]
     assert skeleton.check(q).violations == {}
-
-
-def test_slice_of_a_motion_cuts_every_field(motion: Motion) -> None:
-    piece = motion[10:14]
-    np.testing.assert_array_equal(piece.q, motion.q[10:14])
-    np.testing.assert_array_equal(piece.times, motion.times[10:14])
-    np.testing.assert_array_equal(piece.report.limit_excess, motion.report.limit_excess[10:14])
-    np.testing.assert_array_equal(piece.report.singular, motion.report.singular[10:14])

@@ -135,26 +135,18 @@ def test_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
     [
         ('name = "stick"', "name =", "not readable as TOML: .*line 2"),
         ("mass_kg = 70", "", "the field 'mass_kg' is missing"),
-        ("end_mm = [0, 0, 200]", "", "the field 'end_mm' is missing"),
-        ('segment = "shank", ', "", "the field 'segment' is missing"),
         ("mass_kg = 70", 'mass_kg = "heavy"', "a field is not of the right kind: .*heavy"),
         ("offset_mm = [0, 0, 100]", "offset_mm = [0, 100]", r"a field .*: \[0, 100\] is no point"),
-        ("lever_arm_mm = [10, 0, 50]", "lever_arm_mm = [nan, 0, 5]", r"a field .* 0, 5\] is no point"),
         ("mass_kg = 70", "mass_kg = -1", "mass_kg -1.0 must be positive and sex 'female' one of"),
         ('sex = "female"', 'sex = "f"', ".* and sex 'f' one of .'male', 'female'"),
         ('parent = "Base"', 'parent = "Rod"', "joint Rod: its parent must come before it"),
-        ('parent = "Base"\noffset_mm = [0, 0, 100]\naxes = "yxz"\n', "", "joint Rod: its parent must come"),
-        ('parent = "Base"', 'parent = "Sky"', "joint Rod: its parent must come before it"),
         ('name = "Rod"', 'name = "Base"', "joint Base occurs twice"),
         ('axes = "yxz"', 'axes = "yxy"', "joint Rod: axes 'yxy' are not x, y and z in some order"),
-        ('axes = "yxz"', "", "joint Rod: axes '' are not x, y and z"),
         ('name = "Base"', 'name = "Base"\naxes = "xyz"', "joint Base: axes 'xyz' .*none for the root"),
         ('["rod flexion", "", ""]', '["rod flexion"]', "joint Rod: needs three clinical and three"),
         ("[[-10, 20]", "[[20, -10]", "joint Rod: limits are not three ranges low, high"),
-        ("[[-10, 20]", "[[nan, 20]", "joint Rod: limits are not three ranges"),
         (", [-40, 40]", "", "joint Rod: limits are not three ranges"),
         ("end_mm = [0, 0, 200]", "end_mm = [0, 0, 0]", "joint Rod: end_mm or offset_mm is a bone"),
-        ("offset_mm = [0, 0, 100]", "", "joint Rod: end_mm or offset_mm is a bone of no length"),
         ('"shank"', '"shin"', "joint Rod: no segment 'shin'; known: head, upper trunk, .*foot"),
         ('"shank", share = 1.0', '"shank", share = 0', "joint Rod: its share of the shank is not pos"),
         ('[{ segment = "shank", share = 1.0 }]', "[]", "joint Rod: carries no mass"),
@@ -169,12 +161,7 @@ def test_invalid_table_is_refused_with_file_and_joint(tmp_path: Path, old: str, 
         read(tmp_path, (old, new))
 
 
-def test_missing_binary_or_empty_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"no\.toml: there is no such file"):
-        read_skeleton_table(tmp_path / "no.toml")
-    (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileFormatError, match="not a text file in UTF-8, so not TOML"):
-        read_skeleton_table(tmp_path / "b.toml")
+def test_a_table_without_joints_is_refused(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text("name = 'x'\nmass_kg = 1\njoint = []")
     with pytest.raises(FileFormatError, match="there is no joint in it"):
         read_skeleton_table(tmp_path / "c.toml")

@@ -8,8 +8,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.calibration.camera_estimate import NOT_FOUND, CameraEstimate, Evidence, estimate_camera, prior_sigma
-from rtof_kin.calibration.camera_unknowns import FOCAL, HEIGHT, PITCH, UNKNOWNS, corrected, pitch_and_roll
+from rtof_kin.calibration.camera_estimate import (
+    FOCAL,
+    HEIGHT,
+    NOT_FOUND,
+    PITCH,
+    UNKNOWNS,
+    CameraEstimate,
+    Evidence,
+    corrected,
+    estimate_camera,
+    pitch_and_roll,
+    prior_sigma,
+)
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 

@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 from assignment_support import places, turned, walk, walking_log, walking_poses
 
-from rtof_kin.calibration.motion_score import MotionScore, image_scores, pair_features, single_features
-from rtof_kin.calibration.sensor_motion import joined, sensor_motions
+from rtof_kin.calibration.motion_score import (
+    MotionScore,
+    image_scores,
+    joined,
+    pair_features,
+    sensor_motions,
+    single_features,
+)
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import GRAVITY_WORLD

@@ -214,3 +214,9 @@ def test_sensor_without_a_calibration_is_named(planted_body: Planted) -> None:
         calibration().apply(planted_body.imus)
     with pytest.raises(UnknownNameError, match=r"unknown calibrated sensor 'c'\. Known: a, b"):
         calibration().select(("c",))
+
+
+def test_frozen_and_empty_sensors_pass_the_unit_check() -> None:
+    f, R = np.tile([0.0, 0.0, 3.5], (100, 1, 1)), np.tile(np.eye(3), (100, 1, 1, 1))
+    for force in (f, np.full_like(f, np.nan)):
+        assert len(ImuSequence(np.arange(100) / 60, R, force, ("wrist",))) == 100

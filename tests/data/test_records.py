@@ -170,3 +170,13 @@ def test_keypoints_are_resampled_but_not_over_missing_frames() -> None:
     np.testing.assert_array_equal(other.seen[:, 0], [True, True, False, False, True])
     assert given.resample(TIMES) is given
     assert not given.resample(TIMES + 10.0).seen.any()
+
+
+def test_a_missing_position_is_invalid_and_no_orientation_is_observed_by_default() -> None:
+    base = poses()
+    out = PoseSequence(base.times, with_value(base.p_world_joint, (1, 2, 0), np.nan), base.R_world_bone, base.names)
+    assert out.valid.sum() == T * J - 1
+    assert not replace(out, valid=np.ones((T, J))).valid[1, 2]
+    assert not out.orientation_observed.any()
+    one_row = poses(orientation_observed=np.array([True, False, True]))
+    np.testing.assert_array_equal(one_row.orientation_observed, [[True, False, True]] * T)

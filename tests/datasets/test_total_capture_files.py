@@ -37,7 +37,7 @@ def put(root: Path, *paths: str) -> None:
         ("gyro_mag/s2/Walking2_Xsens_AuxFields.sensors", ("S2", "walking2"), "aux_sensors"),
         ("S3/s3_rom1_calib_imu_bone.txt", ("S3", "rom1"), "calib_bone"),
         ("S3/rom1/calib_imu_ref.txt", ("S3", "rom1"), "calib_ref"),
-        ("S5/rom3_BlenderZXY_YmZ.bvh", ("S5", "rom3"), "bvh"),
+        ("S5/rom3_Xsens_AuxFields.sensors", ("S5", "rom3"), "aux_sensors"),
         ("S2/acting1/s1_acting3_Xsens.sensors", ("S1", "acting3"), "sensors"),
     ],
 )

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import planted
 import pytest
 from xdf_file import Stream, content
 
@@ -147,18 +146,16 @@ def test_units_of_each_stream(tmp_path: Path) -> None:
     assert any("units" in note for note in log.file_notes)
 
 
-def test_points_as_keypoints_of_a_camera_and_as_detections(tmp_path: Path) -> None:
+def test_points_as_detections(tmp_path: Path) -> None:
     path = file(tmp_path, IMU, POINTS)
     points = read_xdf_points(path)
-    assert (points.stream, points.names) == ("pose", ("Nose", "LeftHand"))
-    keypoints = points.sequence(planted.camera())
-    np.testing.assert_allclose(keypoints.times, TIMES[::2], atol=1e-9)
-    np.testing.assert_array_equal(keypoints.uv_px[:, 1], POINTS.values[:, 3:])
-    np.testing.assert_array_equal(keypoints.confidence[:, 0], POINTS.values[:, 2])
+    assert points.names == ("Nose", "LeftHand")
+    np.testing.assert_allclose(points.times, TIMES[::2], atol=1e-9)
+    np.testing.assert_array_equal(points.uv_px[:, 1], POINTS.values[:, 3:])
+    np.testing.assert_array_equal(points.confidence[:, 0], POINTS.values[:, 2])
     two = file(tmp_path, POINTS, replace(POINTS, number=4, name="other"))
     with pytest.raises(FileFormatError, match="pose, other"):
         read_xdf_points(two)
-    assert read_xdf_points(two, "other").stream == "other"
     in_pixels = replace(POINTS, values=100 * POINTS.values, labels=[*POINTS.labels[:2], "z", *POINTS.labels[3:]])
     detected = read_detector_file(file(tmp_path, in_pixels))
     np.testing.assert_allclose(detected.uv_px[:, 0, 1], in_pixels.values[:, 3:])

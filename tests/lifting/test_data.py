@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import lifting_support as support
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -74,3 +75,55 @@ def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
     plain_pose = draw(bank, plain(), frames=frames).pose
     p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
     torch.testing.assert_close(all_pairs(plain_pose), all_pairs(p), atol=1e-4, rtol=0)
+
+
+def test_plain_windows_are_the_recorded_poses(corpus: Corpus, bank: MotionBank) -> None:
+    frames = torch.arange(B)
+    batch = draw(bank, plain(), frames=frames)
+    p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
+    torch.testing.assert_close(all_pairs(batch.pose), all_pairs(p), atol=1e-4, rtol=0)
+    torch.testing.assert_close(batch.pose[:, 2], p[:, 2] - p[:, 2, :1], atol=1e-5, rtol=0)
+
+
+def test_rays_of_the_middle_frame_point_at_the_joints(bank: MotionBank) -> None:
+    batch = draw(bank, replace(AugmentConfig(), noise=plain().noise))
+    p = batch.pose + batch.root[:, :, None]
+    cosine = torch.cosine_similarity(batch.windows.rays_world[:, :, W // 2], p, dim=1)
+    assert torch.all(cosine[batch.windows.seen[:, W // 2]] > 1 - 1e-6)
+    assert batch.windows.seen[:, W // 2].float().mean() > 0.95
+
+
+def test_mirroring_exchanges_left_and_right(corpus: Corpus, bank: MotionBank) -> None:
+    frames = torch.arange(B)
+    normal = draw(bank, plain(), frames=frames)
+    mirrored = draw(bank, replace(plain(), mirror=1.0), frames=frames)
+    order = bank.body.mirrored
+    torch.testing.assert_close(
+        all_pairs(mirrored.pose), all_pairs(normal.pose)[:, order][:, :, order], atol=1e-4, rtol=0
+    )
+    assert handedness(mirrored.pose, order) == -handedness(normal.pose, list(range(21)))
+
+
+def handedness(pose: Tensor, order: list[int]) -> int:
+    """Sign of the volume spanned by three bones of the first pose."""
+    a = pose[0][:, order]
+    return int(torch.sign(torch.det(torch.stack([a[:, 6], a[:, 10], a[:, 17]]))))
+
+
+def test_time_is_warped_within_the_clip(bank: MotionBank) -> None:
+    frames = torch.full((B,), 45)
+    slow = draw(bank, replace(plain(), warp=(0.5, 0.5)), frames=frames)
+    fast = draw(bank, replace(plain(), warp=(1.0, 1.0)), frames=frames)
+    torch.testing.assert_close(slow.windows.rays_world[:, :, 23], fast.windows.rays_world[:, :, 18])
+    edge = draw(bank, plain(), frames=torch.zeros(B, dtype=torch.long))
+    assert torch.equal(edge.windows.rays_world[:, :, 0], edge.windows.rays_world[:, :, 13])
+
+
+def test_nonrigid_joints_are_drawn_as_recorded() -> None:
+    corpus = support.tiny_corpus()
+    beyond = 0.03 * np.random.default_rng(0).normal(size=(360, 21, 3)).astype(np.float32)
+    beyond[:, 0] = 0.0
+    corpus = replace(corpus, beyond_rigid=beyond)
+    pose = draw(MotionBank(corpus, [0], CPU), plain(), frames=torch.arange(B)).pose
+    p = torch.from_numpy(corpus.positions(0)[:B]).transpose(1, 2)
+    torch.testing.assert_close(all_pairs(pose), all_pairs(p), atol=1e-4, rtol=0)

@@ -12,7 +12,18 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.joint_errors import Draw, JointErrors, View, about_axis, jumps, mean_error, smooth_errors
+from lifting.training.joint_errors import (
+    Draw,
+    JointErrors,
+    View,
+    about_axis,
+    exchanged,
+    hidden_joints,
+    jumps,
+    mean_error,
+    path_basis,
+    smooth_errors,
+)
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
@@ -138,3 +149,46 @@ def test_drawn_errors_are_as_large_as_those_of_the_simulated_detector(body: Body
     rms = [np.sqrt(np.nanmean(np.concatenate(x) ** 2, axis=(0, 2))) for x in (seen, drawn)]
     np.testing.assert_allclose(np.log(rms[1] / rms[0]), 0.0, atol=0.5)
     assert abs(np.median(np.log(rms[1] / rms[0]))) < 0.2
+
+
+def test_paths_are_ornstein_uhlenbeck_or_constant() -> None:
+    for memory in (0.5, 0.3):
+        basis = path_basis(W, RATE_HZ, memory)
+        lag = (torch.arange(W)[:, None] - torch.arange(W)).abs() / RATE_HZ
+        np.testing.assert_allclose(basis @ basis.T, torch.exp(-lag / memory), atol=0.12)
+    assert torch.equal(path_basis(W, RATE_HZ, float("inf")), torch.ones(W, 1))
+
+
+def test_a_place_is_projected_as_a_camera_does(body: Body) -> None:
+    """Independent reference: move the joint and project."""
+    view = standing(body, 50.0, rows=1, side=0.8)
+    zero = {name: torch.zeros_like(getattr(TABLE, name)) for name in ("view", "follows")}
+    found = mean_error(body, replace(TABLE, **zero), view, torch.ones(1))[0]
+    p = view.joints[0].T
+    moved = p + torch.einsum("jab,jb->ja", view.segments()[0], 0.01 * TABLE.place)
+    shift = (moved[:, :2] / moved[:, 2:] - p[:, :2] / p[:, 2:]) * p[:, 2:]
+    np.testing.assert_allclose(found * 0.01, shift, atol=1e-5)
+
+
+def test_the_far_arm_is_hidden_in_profile(body: Body) -> None:
+    view = standing(body, 90.0, rows=1)  # from the left
+    hidden = {body.names[j] for j in hidden_joints(body, view)[0].nonzero()[:, 0]}
+    assert "RightArm" in hidden
+    assert not {name for name in hidden if name.startswith("Left")}
+    assert not hidden_joints(body, standing(body, 0.0, rows=1)).any()
+    table = replace(TABLE, hidden=TABLE.hidden * 3)
+    larger = errors(body, view, table).std() / errors(body, view).std()
+    assert larger > 1.01
+
+
+@pytest.mark.parametrize(("azimuth", "per_minute"), [(90.0, 106.0), (0.0, 0.0)])
+def test_sides_are_exchanged_in_profile(body: Body, azimuth: float, per_minute: float) -> None:
+    view = standing(body, azimuth, rows=20_000)
+    names = torch.arange(21.0).expand(20_000, 2, W, 21)
+    out = exchanged(body, view, names, draws(20_000), RATE_HZ)
+    swapped = out != names
+    other = torch.tensor(body.mirrored, dtype=torch.float32)
+    assert torch.equal(out[swapped], other.expand(names.shape)[swapped])
+    share = swapped[:, 0].float().mean(dim=(0, 1))
+    assert share[:7].max() == 0
+    assert share[body.legs[0][1]] == pytest.approx(per_minute / 60 * 0.055, rel=0.2)

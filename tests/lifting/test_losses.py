@@ -153,3 +153,17 @@ def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch:
 def test_without_validation_subjects_there_are_no_errors() -> None:
     empty = Validation(support.tiny_corpus(clips=2, frames=40), 27, CPU, count=8)
     assert empty.measure(support.untrained_lifter().network) == {}
+
+
+def test_errors_are_split_along_and_across_the_ray_to_the_root() -> None:
+    truth = batch()
+    ray = torch.nn.functional.normalize(truth.root)
+    side = torch.nn.functional.normalize(torch.linalg.cross(ray, ray.roll(1, dims=1)))
+    up = torch.linalg.cross(ray, side)
+    error = 0.3 * ray + 0.04 * side - 0.03 * up
+    pose = truth.pose + error[:, :, None]
+    root = truth.root + error * truth.root.norm(dim=1)[:, None]
+    made = replace(estimate(), pose=pose, root=root)
+    lengths = losses.errors_by_direction(made, truth)
+    torch.testing.assert_close(lengths[:, 0], torch.full((B, J), 0.05).double())
+    torch.testing.assert_close(lengths[:, 1], torch.full((B, J), 0.3).double())

@@ -9,9 +9,22 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.data import augmentation
+from lifting.training.data import MotionBank, Moving, augmentation
 from lifting.training.joint_errors import Draw
-from lifting.training.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, SensorConfig, add_noise, with_errors, worn
+from lifting.training.noise import (
+    FOCAL_PX,
+    TRAINING_NOISE,
+    NoiseConfig,
+    RigConfig,
+    SensorConfig,
+    add_noise,
+    exp,
+    log,
+    turns,
+    with_errors,
+    worn,
+)
+from lifting.windows import rotations
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
 
@@ -187,3 +200,110 @@ def test_sets_have_their_shares_and_the_rest_are_random_subsets(body: Body) -> N
     for joint in body.sensors:
         alone = sum(x == {joint} for x in found)
         assert alone > 0, joint
+
+
+def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> None:
+    error, _ = noise_of(body, replace(QUIET, bias_px=6.0))
+    assert (error - error[:, :, :1]).abs().max() == 0
+    sigma = error[:, :, 0].std(dim=(0, 1))
+    for name, expected in {"Hips": 6.0, "LeftHand": 7.8, "RightLeg": 4.8, "RightUpLeg": 6.0}.items():
+        assert sigma[body.names.index(name)] == pytest.approx(expected, rel=0.1), name
+
+
+@pytest.mark.parametrize("share", [0.03, 0.05, 0.2])
+def test_missing_runs_cover_their_share_of_all_samples(body: Body, share: float) -> None:
+    _, seen = noise_of(body, replace(QUIET, missing_share=share), rows=2000)
+    assert 1 - seen.float().mean() == pytest.approx(share, rel=0.1)
+    changes = (seen[:, 1:] != seen[:, :-1]).sum(dim=1)
+    assert changes.max() <= 2  # one run, not scattered samples
+
+
+def test_outliers_are_large_rare_and_constant_while_they_last(body: Body) -> None:
+    error, _ = noise_of(body, replace(QUIET, outlier_share=0.04), rows=2000)
+    there = error.abs().amax(dim=1) > 0
+    assert there.float().mean() == pytest.approx(0.04, rel=0.1)
+    assert error[:, 0][there].std() == pytest.approx(60.0, rel=0.1)
+    both = there[:, 1:] & there[:, :-1]
+    step = (error[:, :, 1:] - error[:, :, :-1]).abs().amax(dim=1)
+    assert step[both].max() == 0
+
+
+STILL = RigConfig(
+    share=1.0, spread=0.0, spine=(0, 0, 0), pelvis=(0, 0, 0), clavicle=(0, 0, 0), mobility=(1.0, 1.0), places=0.0
+)
+
+
+@pytest.fixture(scope="module")
+def bank() -> MotionBank:
+    return MotionBank(support.tiny_corpus(), [0, 1], torch.device("cpu"))
+
+
+def varied(bank: MotionBank, rigs: RigConfig, estimated: int = W_RIGS // 2) -> tuple[Moving, Moving]:
+    """The same bodies as recorded and in another rig."""
+    frames = torch.linspace(20, 150, B_RIGS).long()
+    offset = (torch.arange(W_RIGS) - estimated + torch.zeros(B_RIGS, 1)).float()
+    one, other = (
+        bank._at(frames, offset, torch.zeros(B_RIGS, 1), torch.zeros(B_RIGS, dtype=torch.long))[0] for _ in range(2)
+    )
+    bank._vary(other, frames, offset, rigs, draws(B_RIGS))
+    return one, other
+
+
+@pytest.mark.parametrize("estimated", [W_RIGS // 2, W_RIGS - 1])
+def test_bones_follow_their_segments(bank: MotionBank, estimated: int) -> None:
+    """Independent reference: forward kinematics from orientations and offsets."""
+    _, moving = varied(bank, RigConfig(share=1.0), estimated)
+    R = rotations(moving.axes).permute(0, 3, 1, 2)
+    bones = (R[:, bank.body.parents[1:]] @ moving.offsets[:, 1:, :, None])[..., 0]
+    torch.testing.assert_close(moving.bones[:, :, estimated].transpose(1, 2), bones, atol=1e-5, rtol=0)
+    torch.testing.assert_close(R @ R.transpose(-1, -2), torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
+
+
+def test_limbs_and_upper_trunk_keep_their_orientation(bank: MotionBank) -> None:
+    one, other = varied(bank, RigConfig(share=1.0))
+    changed = (one.axes - other.axes).abs().amax(dim=(0, 1, 2)) > 1e-6
+    names = {bank.body.names[j] for j in changed.nonzero()[:, 0]}
+    assert names == {"Hips", "Spine", "Spine1", "Spine2", "LeftShoulder", "RightShoulder"}
+
+
+def draws(batch: int) -> Draw:
+    return Draw(batch, torch.Generator().manual_seed(0), torch.device("cpu"))
+
+
+def test_a_bend_is_spread_and_a_clavicle_slowed(bank: MotionBank) -> None:
+    """Planted: a bend of 40 degrees, all of it at one joint, becomes 10 degrees at each."""
+    R = torch.eye(3).repeat(B_RIGS, W_RIGS, 8, 1, 1)
+    R[:, :, 4:] = torch.from_numpy(so3.about_axis("y", np.radians(40.0))).float()
+    R[:, :, 5] = R[:, :, 4] @ torch.from_numpy(so3.about_axis("x", 0.3)).float()
+    axes = R[..., [0, 2]].permute(0, 3, 1, 4, 2)
+    out = turns(axes, replace(STILL, mobility=(0.5, 0.5)), draws(B_RIGS)) @ R
+    bend = log(out[:, :, :5])[0, 0]
+    np.testing.assert_allclose(bend[:, 1].rad2deg(), [0, 10, 20, 30, 40], atol=1e-3)
+    clavicle = log(out[:, :, 4].transpose(-1, -2) @ out[:, :, 5])
+    np.testing.assert_allclose(clavicle[0, 0], [0.15, 0, 0], atol=1e-5)
+
+
+def test_turns_are_constant_over_a_still_window_and_have_their_sizes(bank: MotionBank) -> None:
+    axes = torch.eye(3)[:, [0, 2]].reshape(1, 3, 1, 2, 1).expand(20_000, 3, 3, 2, 8)
+    out = log(turns(axes, replace(STILL, pelvis=(0.02, 0.08, 0.03), clavicle=(0.12, 0.0, 0.1)), draws(20_000)))
+    assert (out - out[:, :1]).abs().max() < 1e-6
+    np.testing.assert_allclose(out[:, 0, 0].std(dim=0), [0.02, 0.08, 0.03], rtol=0.05)
+    torch.testing.assert_close(out[:, 0, 5] * torch.tensor([-1.0, 1, -1]), out[:, 0, 6], atol=1e-5, rtol=0)
+
+
+def test_rotation_vectors_agree_with_a_peer(bank: MotionBank) -> None:
+    rotvec = np.random.default_rng(0).normal(size=(40, 5, 3)) * 0.7
+    rotvec[0] = 0.0
+    R = exp(torch.from_numpy(rotvec))
+    np.testing.assert_allclose(R, so3.exp(rotvec), atol=1e-6)
+    np.testing.assert_allclose(log(R), so3.log(R.numpy()), atol=1e-6)
+
+
+@pytest.mark.parametrize("amplitude", [0.2, 2.0])
+def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(truth: np.ndarray, amplitude: float) -> None:
+    config = replace(NO_ERROR, heading=0.05, amplitude=(amplitude, amplitude))
+    error = so3.log(measured_by_sensors(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
+    assert np.abs(error[..., :2]).max() < 1e-5
+    np.testing.assert_allclose(error[:, 0, :, 2].std(axis=0), 0.05, rtol=0.06)
+    correlation = np.corrcoef(error[:, 0, :, 2].T) - np.eye(3)
+    assert np.abs(correlation).max() < 0.1, "every sensor has its own"

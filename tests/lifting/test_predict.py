@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lifting import predict as module
-from lifting.checkpoint import save_checkpoint
 from lifting.model import FoldedNetwork, torch_threads
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamingLifter
@@ -26,7 +24,7 @@ from lifting.windows import encode as encoded_by
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, ViewError
+from rtof_kin.core.errors import InvalidInputError, ShapeError, ViewError
 from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
@@ -118,18 +116,6 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
     sigma = np.tile([SIGMA_ACROSS * across, SIGMA_ALONG * along], (T, 21, 1))
     sigma[:, 0] *= np.linalg.norm(p[:, 0], axis=-1)[:, None]
     np.testing.assert_allclose(poses.sigma_m, sigma, rtol=1e-4)
-
-
-def test_outputs_are_read_only_rotations_with_positive_sigmas(lifted: LiftedPoses) -> None:
-    assert so3.is_rotation(lifted.R_world_bone)
-    assert (lifted.sigma_m > 0).all()
-    assert (lifted.sigma_rad > 0).all()
-    for values in (*arrays(lifted), lifted.seen):
-        assert values.dtype in (np.float64, np.bool_)
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1.0
-    with pytest.raises(ShapeError, match="sigma_rad"):
-        replace(lifted, sigma_rad=np.ones((T, 2)))
 
 
 # --- invariances ---------------------------------------------------------------------------------
@@ -240,17 +226,6 @@ def test_other_rates_give_the_same_motion(lifter: Lifter, rate_hz: float) -> Non
         np.testing.assert_allclose(other[round(second * rate_hz)], fine[60 * second], atol=2e-3)
 
 
-def test_uneven_times_and_single_frames_are_lifted(lifter: Lifter) -> None:
-    jitter = np.random.default_rng(0).uniform(-0.005, 0.005, T)
-    uneven = lifter.predict(replace(KEYPOINTS, times=KEYPOINTS.times + jitter), OFFSETS)
-    assert np.isfinite(uneven.p_world_joint).all()
-    assert uneven.seen.all()
-    for few in (1, 2):
-        short = lifter.predict(KEYPOINTS[:few], OFFSETS)
-        assert short.p_world_joint.shape == (few, 21, 3)
-        assert np.isfinite(short.p_world_joint).all()
-
-
 @pytest.mark.parametrize("causal", [True, False])
 def test_a_causal_lifter_ignores_later_frames(causal: bool) -> None:
     lifter = support.untrained_lifter(causal=causal)
@@ -265,19 +240,6 @@ def test_a_causal_lifter_ignores_later_frames(causal: bool) -> None:
             change = np.abs(a[:21] - b[:21]).reshape(21, -1).max(axis=1)
             assert change[: 21 if causal else 7].max() < 1e-6
             assert causal or change[8:].min() > 1e-7
-
-
-def test_a_causal_lifter_reads_the_frame_and_its_window_before_at_any_rate() -> None:
-    lifter = support.untrained_lifter(causal=True)
-    uv = np.array(KEYPOINTS.uv_px)
-    uv[5] += np.random.default_rng(0).normal(scale=30.0, size=(21, 2))
-    one, other = (lifter.predict(k, OFFSETS).p_world_joint for k in (KEYPOINTS, replace(KEYPOINTS, uv_px=uv)))
-    assert np.flatnonzero(np.abs(other - one).max(axis=(1, 2)) > 1e-7).tolist() == list(range(5, 5 + 27))
-    at_50 = support.seen_by(CAMERA, P, 50.0)
-    whole = lifter.predict(at_50, OFFSETS).p_world_joint
-    for length in (1, 17, 30):
-        part = lifter.predict(at_50[:length], OFFSETS).p_world_joint
-        np.testing.assert_allclose(part, whole[:length], atol=1e-5)
 
 
 # --- missing observations ------------------------------------------------------------------------
@@ -351,7 +313,7 @@ def test_sensors_are_resampled_to_the_frames(lifter: Lifter) -> None:
     np.testing.assert_allclose(again.p_world_joint[inside], expected.p_world_joint[inside], atol=2e-4)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_extreme_landmarks_give_finite_positions(lifter: Lifter, seed: int) -> None:
     rng = np.random.default_rng(seed)
     uv = rng.normal(scale=10.0 ** rng.uniform(0, 6), size=(30, 21, 2))
@@ -417,14 +379,6 @@ def test_the_shipped_lifter_lifts_an_unknown_scene() -> None:
     error = Lifter.load().predict(support.seen_by(CAMERA, p), clip.joint_offsets).p_world_joint - p
     assert np.linalg.norm(error - error[:, :1], axis=-1).mean() < 0.08
     assert np.linalg.norm(error, axis=-1).mean() < 0.25
-
-
-def test_a_lifter_has_the_hash_of_its_file(lifter: Lifter, tmp_path: Path) -> None:
-    path = save_checkpoint(tmp_path / "lifter.pt", lifter.network, lifter.description)
-    assert Lifter.load(path).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert lifter.sha256 == ""
-    with pytest.raises(FileFormatError, match="no such file; .*detections, perfect"):
-        Lifter.load(tmp_path / "none.pt")
 
 
 @pytest.mark.parametrize("name", list(LIFTERS))

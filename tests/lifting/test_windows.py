@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import lifting_support as support
+import numpy as np
 import pytest
 import torch
-from lifting_support import windows_of
+from lifting_support import assert_same_input, windows_of
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.windows import EncodedWindows, Estimate, decode, encode, rotations, sizes
+from lifting.windows import EncodedWindows, Estimate, decode, encode, mirror_features, mirror_output, rotations, sizes
 from rtof_kin.core import rotations as so3
 
 W = 27
@@ -116,3 +117,93 @@ def test_degenerate_scenes_stay_finite(body: Body, scene: Tensor, axes: Tensor) 
         for value in (1e6, 0.0):
             for part in fields(decode(body, torch.full((3, sizes(body)[2]), value), encoded)):
                 assert torch.isfinite(part).all()
+
+
+def turned(R: np.ndarray, p: Tensor) -> Tensor:
+    return torch.einsum("ij,bj...->bi...", torch.from_numpy(R), p)
+
+
+def test_turning_the_world_about_the_vertical_leaves_the_input_unchanged(
+    body: Body, scene: Tensor, axes: Tensor
+) -> None:
+    R = so3.about_axis("z", 2.1)
+    straight = encode(body, windows_of(body, scene, axes))
+    rotated = encode(body, windows_of(body, turned(R, scene), turned(R, axes)))
+    assert_same_input(rotated, straight)
+    estimate = decode(body, true_output(body, scene, axes, straight), rotated)
+    now = scene[:, :, W // 2]
+    torch.testing.assert_close(estimate.root, turned(R, now[:, :, 0]))
+    torch.testing.assert_close(estimate.pose, turned(R, now - now[:, :, :1]))
+    torch.testing.assert_close(estimate.axes, turned(R, axes[:, :, W // 2]))
+
+
+def test_the_mirrored_scene_has_mirrored_features_and_output(body: Body, scene: Tensor, axes: Tensor) -> None:
+    generator = torch.Generator().manual_seed(1)
+    seen = torch.rand(everything(scene).shape, generator=generator) > 0.2
+    sensed = torch.rand((3, W, 13), generator=generator) > 0.3
+    here = encode(body, windows_of(body, scene, axes, seen=seen, sensed=sensed))
+    there = encode(
+        body,
+        windows_of(
+            body,
+            mirrored(body, scene),
+            mirrored(body, axes),
+            seen=seen[..., body.mirrored],
+            sensed=sensed[..., body.mirrored_sensors],
+        ),
+    )
+    torch.testing.assert_close(mirror_features(body, here.features), there.features)
+    torch.testing.assert_close(here.constants, there.constants)
+    output = true_output(body, scene, axes, here)
+    flipped = decode(body, mirror_output(body, output), there)
+    now = mirrored(body, scene[:, :, W // 2])
+    log_spread, log_turn = spreads(body, 3)
+    expected = [
+        now - now[:, :, :1],
+        now[:, :, 0],
+        log_spread[..., body.mirrored],
+        mirrored(body, axes[:, :, W // 2]),
+        log_turn[:, body.mirrored],
+    ]
+    for is_, should in zip(fields(flipped), expected, strict=True):
+        torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("at", [W // 2, W - 1, 4])
+def test_the_view_axis_is_the_ray_to_the_root(body: Body, scene: Tensor, at: int) -> None:
+    encoded = encode(body, windows_of(body, scene, estimated=at))
+    on_axis = torch.einsum("bij,bj->bi", encoded.R_view_world, scene[:, :, at, 0])
+    assert on_axis[:, :2].abs().max() < 1e-9
+    assert torch.all(on_axis[:, 2] > 0)
+    assert encoded.features[:, at, [0, 21]].abs().max() < 1e-6
+    assert encoded.features[:, 20 if at == 4 else 4, [0, 21]].abs().max() > 1e-3
+
+
+def test_a_foot_on_the_floor_gives_its_distance(body: Body, scene: Tensor) -> None:
+    lowest = scene.clone()
+    lowest[:, 2, :, body.feet] = 0.08 - 1.6
+    encoded = encode(body, windows_of(body, lowest))
+    away = lowest[:, :2, :, body.feet].norm(dim=1)
+    expected = (away * encoded.scale[:, None, None]).log()
+    torch.testing.assert_close(encoded.features[..., 63:65], expected)
+    assert torch.all(encoded.features[..., 65:67] == 1)
+
+
+def test_unseen_rays_are_ignored(body: Body, scene: Tensor) -> None:
+    seen = everything(scene)
+    seen[:, :, 10] = False
+    seen[:, 20:] = False
+    expected = encode(body, windows_of(body, scene, seen=seen))
+    changed = torch.where(seen[:, None], scene, 7.0)
+    assert_same_input(encode(body, windows_of(body, changed, seen=seen)), expected)
+
+
+def test_axes_are_features_in_the_ray_frame(body: Body, scene: Tensor, axes: Tensor) -> None:
+    sensed = torch.ones((3, W, 13), dtype=torch.bool)
+    sensed[1, 4, 7] = False
+    encoded = encode(body, windows_of(body, scene, axes, sensed=sensed))
+    read = encoded.features[..., 67:-13].reshape(3, W, 3, 2, 13)
+    carried = axes[..., body.sensor_joints]
+    expected = torch.einsum("bij,bjwas->bwias", encoded.R_ray_world, carried)
+    expected[1, 4, :, :, 7] = 0.0
+    torch.testing.assert_close(read, expected)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from rtof_kin.live.clock_map import VIDEO, ClockMap, SessionClock, with_time
+from rtof_kin.live.clock_map import VIDEO, ClockMap, SessionClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 
 OFFSET = 1234.5
@@ -134,10 +134,3 @@ def test_without_the_common_clock_this_machines_clock_is_taken() -> None:
     assert times[-1] == pytest.approx(904.9)
     late = clock.arrived("lsl", sample(7.0, "b"), 905.0)
     assert late.time == pytest.approx(905.0)
-
-
-def test_time_is_replaced_in_samples_of_both_kinds() -> None:
-    for one in (sample(1.0), sample(1.0, VIDEO)):
-        assert with_time(one, 1.0) is one
-        assert with_time(one, 2.0).time == 2.0
-        assert type(with_time(one, 2.0)) is type(one)

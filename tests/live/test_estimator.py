@@ -244,16 +244,10 @@ def test_a_clock_that_leaps_costs_no_time_and_no_sense() -> None:
     assert all(np.isfinite(estimate.poses.p_world_joint).all() for estimate in found)
 
 
-def test_a_time_that_is_not_finite_is_refused() -> None:
+def test_samples_and_setups_that_cannot_be_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="time"):
         estimator().push(ImuSample("L_LowArm", np.nan, np.eye(3), np.zeros(3)))
-
-
-def test_frames_of_other_landmarks_are_refused() -> None:
     with pytest.raises(ShapeError):
         estimator().push(FrameSample(0.0, np.zeros((3, 2)), np.ones(3)))
-
-
-def test_a_setup_without_anything_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="setup"):
         OnlineEstimator(replace(demo(), imus=None, calibration=None))

@@ -52,9 +52,9 @@ def test_planted_data_with_loss_and_jitter_arrive_with_their_stamps() -> None:
     rng = np.random.default_rng(0)
     kept = np.flatnonzero(rng.uniform(size=frames) > 0.1)
     sender = Sender(name, LABELS, UNITS)
-    source = LslImuSource(name)
+    source = LslImuSource(name, renamed={"pelvis": "Hips", "head": "Head"}.__getitem__)
     source.start()
-    assert (source.name, source.clock, source.sensors) == (f"lsl:{name}", Clock.COMMON, ("pelvis", "head"))
+    assert (source.name, source.clock, source.sensors) == (f"lsl:{name}", Clock.COMMON, ("Hips", "Head"))
     assert (source.landmarks, source.finished) == ((), False)
     assert abs(source.clock_offset_s) < 0.01
     sender.wait()
@@ -98,8 +98,11 @@ def test_frames_arrive() -> None:
     sender.wait()
     sender.send([320.0, 240.0, 0.9], stamp := pylsl.local_clock())
     (sample,) = until(source.poll)
+    (unseen,) = source.samples(np.zeros(1), np.array([[3.0, 4.0, 0.0]]))
     source.close()
     assert isinstance(sample, FrameSample)
+    assert isinstance(unseen, FrameSample)
+    assert (np.isnan(unseen.uv_px).all(), unseen.confidence.tolist()) == (True, [0.0])
     assert (sample.uv_px.tolist(), sample.confidence.tolist()) == ([[320.0, 240.0]], [0.9])
     assert sample.time == pytest.approx(stamp, abs=1e-3)
 
@@ -247,17 +250,6 @@ def test_a_session_over_lsl_estimates_and_records_what_is_sent(tmp_path: Path) -
 # --- channels without a stream -------------------------------------------------------------------
 
 
-def test_samples_of_two_sensors_are_planted_motion() -> None:
-    R, f, values = planted(5)
-    source = LslImuSource("xsens", renamed={"pelvis": "Hips", "head": "Head"}.__getitem__)
-    source.read_channels(LABELS, UNITS)
-    assert source.sensors == ("Hips", "Head")
-    samples = source.samples(np.arange(5) / 60, values)
-    assert [(s.sensor, s.time) for s in samples[:3]] == [("Hips", 0.0), ("Head", 0.0), ("Hips", 1 / 60)]
-    np.testing.assert_allclose([s.R_inertial_sensor for s in samples], R.reshape(-1, 3, 3), atol=1e-12)
-    np.testing.assert_allclose([s.f_sensor for s in samples], f.reshape(-1, 3), atol=1e-12)
-
-
 def test_missing_numbers_are_nan() -> None:
     source = LslImuSource("s")
     source.read_channels(ONE[:4])
@@ -266,12 +258,3 @@ def test_missing_numbers_are_nan() -> None:
     assert np.isnan([unknown.R_inertial_sensor, zero.R_inertial_sensor]).all()
     assert np.isnan(unknown.f_sensor).all()
     assert source.samples(np.zeros(0), np.zeros((0, 4))) == []
-
-
-def test_frames_of_channels() -> None:
-    source = LslFrameSource("s")
-    source.read_channels(["Nose_x", "Nose_y", "Nose_confidence"])
-    seen, unseen = source.samples(np.array([0.0, 0.04]), np.array([[3.0, 4.0, 0.8], [3.0, 4.0, 0.0]]))
-    assert (seen.uv_px.tolist(), seen.confidence.tolist()) == ([[3, 4]], [0.8])
-    assert (unseen.time, unseen.confidence.tolist()) == (0.04, [0])
-    assert np.isnan(unseen.uv_px).all()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from detector_support import points_px, walking, watching
+from live_support import demo
 
 from rtof_kin.core.errors import CalibrationError, RtofError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -18,31 +18,14 @@ from rtof_kin.live.open_sources import open_sinks, open_sources
 from rtof_kin.live.replay import RecordingReplay
 from rtof_kin.live.samples import Clock
 from rtof_kin.live.video import VideoSource
-from rtof_kin.recording.recording import Recording
 
 DEMO = str(model_path("demo"))
 
 
-@cache
-def demo() -> Recording:
-    return Recording.load(DEMO)
-
-
-class Nobody:
-    """A detector that is not asked."""
-
-    name = "nobody"
-    points = 33
-
-    def find(self, image: Any, time: float) -> list[Any]:
-        return []
-
-    def close(self) -> None:
-        pass
-
-
 def opened(cameras: list[str], sensors: list[str], **how: Any) -> Any:
-    return open_sources(cameras, sensors, how.pop("setup", demo()), detector=Nobody, **how)
+    return open_sources(
+        cameras, sensors, how.pop("setup", demo()), detector=lambda: pytest.fail("a detector is asked for"), **how
+    )
 
 
 def test_a_recording_is_replayed_with_its_frames_and_its_sensors_apart() -> None:

@@ -2,46 +2,39 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from live_support import demo
 from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.core.resources import model_path
-from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.live.sensor_buffer import SensorBuffer
-from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 12.0
 
 
-@cache
-def demo() -> Recording:
-    return Recording.load(model_path("demo"))
-
-
-@cache
 def imus() -> ImuSequence:
     found = demo().imus
     assert found is not None
     return found
 
 
+def calibrated() -> ImuCalibration:
+    found = demo().calibration
+    assert found is not None
+    return found
+
+
 def joints() -> tuple[str, ...]:
-    calibration = demo().calibration
-    assert calibration is not None
-    return calibration.joints
+    return calibrated().joints
 
 
 def buffer(order: Array | None = None, count: int = 240) -> SensorBuffer:
     """With the first samples of the demo, in an order."""
-    calibration = demo().calibration
-    assert calibration is not None
-    out = SensorBuffer(calibration, joints(), 60.0, CUTOFF_HZ)
+    out = SensorBuffer(calibrated(), joints(), 60.0, CUTOFF_HZ)
     for i in range(count) if order is None else order.tolist():
         for s, name in enumerate(imus().names):
             out.add(name, float(imus().times[i]), imus().R_inertial_sensor[i, s], imus().f_sensor[i, s])
@@ -49,10 +42,8 @@ def buffer(order: Array | None = None, count: int = 240) -> SensorBuffer:
 
 
 def test_within_the_samples_the_values_are_those_of_a_recording() -> None:
-    calibration = demo().calibration
-    assert calibration is not None
     times = imus().times[40:200] + 0.3 / 60
-    expected = calibration.apply(imus()).low_passed(CUTOFF_HZ).resample(times)
+    expected = calibrated().apply(imus()).low_passed(CUTOFF_HZ).resample(times)
     q, known, a, moved = buffer().at(times)
     own = [joints().index(joint) for joint in expected.joints]
     assert known.all()
@@ -85,13 +76,11 @@ def test_gaps_and_times_beyond_the_samples_are_unknown() -> None:
 
 
 def test_old_samples_are_forgotten() -> None:
-    calibration = demo().calibration
-    assert calibration is not None
-    sensors = SensorBuffer(calibration, joints(), 60.0, CUTOFF_HZ)
+    sensors = SensorBuffer(calibrated(), joints(), 60.0, CUTOFF_HZ)
     name, R, f = imus().names[0], imus().R_inertial_sensor[0, 0], imus().f_sensor[0, 0]
     for i in range(5000):
         sensors.add(name, i / 100, R, f)
-    s = joints().index(calibration.joints[calibration.sensors.index(name)])
+    s = joints().index(joints()[calibrated().sensors.index(name)])
     known = sensors.at(np.array([1.0, 49.5]))[1][:, s]
     assert known.tolist() == [False, True]
 

@@ -18,7 +18,7 @@ from benchmarks.planted.gross import OF_CAMERA, OF_SENSORS
 from benchmarks.scoring import bands
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import NAME as CLOCKS
-from rtof_kin.calibration.camera_unknowns import FOCAL, PITCH, displacements
+from rtof_kin.calibration.camera_estimate import FOCAL, PITCH, displacements
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import Check, Verdict
 from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError, ViewError

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rtof_kin.calibration.camera_unknowns import FOCAL, corrected
+from rtof_kin.calibration.camera_estimate import FOCAL, corrected
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty

@@ -15,9 +15,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from schema_recordings import RECORDINGS
 
-from docs.recording_fields import schema_text
+from docs.recording_fields import inlined_schema, schema_text
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.files.input_table import inlined_schema
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.tables import SCHEMA, RecordingTable
@@ -89,7 +88,7 @@ def fields_of(node: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict
 def test_the_shipped_schema_is_that_of_the_tables_and_says_what_every_field_is() -> None:
     assert SCHEMA.read_text(encoding="utf-8") == schema_text(), "run python -m docs.recording_fields"
     Draft202012Validator.check_schema(json.loads(schema_text()))
-    fields = dict(fields_of(NODE))  # type: ignore[arg-type]
+    fields = dict(fields_of(NODE))
     assert [name for name, one in fields.items() if not (name.endswith("*") or one.get("description"))] == []
     assert fields[".schema_version"]["const"] == SCHEMA_VERSION
     assert tuple(fields[".skeleton.table"]["enum"]) == SKELETONS
@@ -124,7 +123,7 @@ def with_(value: Any, *path: str) -> Callable[[dict[str, Any]], None]:
     [
         (with_(5, "camera"), r"recording\.toml: camera: not a table; write its fields under \[camera\]"),
         (with_({}, "views"), r"views: not tables in a row; begin each with \[\[views\]\]"),
-        (with_([{"camera": {}}], "views"), r"\[views\.1\.camera\] width_px: missing; add e\.g\. width_px = 1"),
+        (with_([{"camera": {}}], "views"), r"\[views\.1\] keypoints: missing; add it: As those of the first camera"),
         (without("camera"), r"camera: is missing; a camera and its keypoints go together"),
         (with_({}, "subjekt"), r"unknown field in .*recording\.toml 'subjekt'\. Did you mean 'subject'\?"),
         (with_("b", "notes", "name"), r"\[notes\] 'name'\. Known: acknowledgement, text"),
@@ -132,7 +131,7 @@ def with_(value: Any, *path: str) -> Callable[[dict[str, Any]], None]:
         (with_(19.5, "camera", "width_px"), r"\[camera\] width_px: 19.5 is not a positive whole number"),
         (with_([1], "camera", "assumed"), r"\[camera\] assumed: \[1\] is not a list of names"),
         (with_([[1]], "camera", "K"), r"\[camera\] K: expected 3 x 3 numbers, got shape \(1, 1\)"),
-        (without("camera", "target_m"), r"\[camera\] target_m: missing; add 3 numbers"),
+        (without("camera", "target_m"), r"\[camera\] target_m: missing; add it: A point in world on the optical axis"),
         (with_("a.toml", "camera", "file"), r"\[camera\] width_px: stands beside file, which has it too"),
         (with_("z", "camera", "up"), r"\[camera\] up: belongs to a calibration file"),
         (with_({"file": "a.NPZ", "held": "portrait"}, "camera", "motion"), r"motion\] held: belongs to the log"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -47,16 +46,6 @@ def length_errors(p: Array, skeleton: SkeletonModel) -> Array:
     a, b = np.array(rigid_pairs(skeleton.parents)).T
     true = np.linalg.norm(rest[b] - rest[a], axis=-1)
     return np.asarray(np.linalg.norm(p[:, b] - p[:, a], axis=-1) - true)
-
-
-def numeric_gradient(residuals: Callable[[Array], dict[str, Array]], x: Array) -> Array:
-    """Central differences of the sum of squares."""
-
-    def total(x: Array) -> float:
-        return sum(float(np.sum(r**2)) for r in residuals(x).values())
-
-    steps = np.eye(len(x)) * 1e-5
-    return np.array([(total(x + step) - total(x - step)) / 2e-5 for step in steps])
 
 
 def test_exact_observations_recover_the_truth(scene: Scene) -> None:

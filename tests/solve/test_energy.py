@@ -150,13 +150,6 @@ def outputs(fragment: Fragment, changed: dict[str, Array]) -> list[Array]:
     return [np.array(v).squeeze() for v in energy.full.call([fragment.x[0], rows, constant])]
 
 
-def test_an_opposite_quaternion_is_the_same_orientation(fragment: Fragment) -> None:
-    O = js.one_frame(fragment.data, 0).observation
-    opposite = {name: -O[name] for name in ("quat_sensor", "quat_torso")}
-    for one, two in zip(outputs(fragment, {}), outputs(fragment, opposite), strict=True):
-        np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
-
-
 def test_prior_at_its_mean_has_the_precision_as_hessian() -> None:
     fragment = Fragment("balls", seed=3)
     O, C, x = js.one_frame(fragment.data, 0).observation, fragment.data.constant, fragment.x

@@ -27,7 +27,7 @@ from rtof_kin.solve.joint_space.covariance import (
 )
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import StateSpace
-from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -175,12 +175,6 @@ def test_confidence_is_optional_and_changes_no_pose() -> None:
     plain = FragmentSolver(BODY, N, HONEST).solve(poses, **observed(poses, 0))
     assert plain.confidence is None
     np.testing.assert_array_equal(asked.poses.p_world_joint, plain.poses.p_world_joint)
-
-
-def test_cartesian_space_has_no_confidence() -> None:
-    poses = truth(2 * N)
-    solver = FragmentSolver(BODY, N, CartesianSettings(), space="cartesian")
-    assert solver.solve(poses, confidence=True, **observed(poses, 0)).confidence is None
 
 
 def test_blend_is_the_mean_or_the_known_covariance() -> None:

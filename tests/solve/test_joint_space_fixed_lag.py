@@ -17,7 +17,8 @@ from rtof_kin.core.errors import SolverError
 from rtof_kin.inertial.root_path import FEET, ContactPoints
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess
-from rtof_kin.solve.joint_space.fixed_lag import MEMORY, FixedLagSmoother, MarginalPrior, WindowEnergy, marginalised
+from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother, marginalised
+from rtof_kin.solve.joint_space.fragment import MEMORY, MarginalPrior
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.settings import JointSpaceSettings
 
@@ -104,16 +105,16 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
     whole._window.bind(whole._data())
     whole._leaving.bind(whole._first_terms())
     prior = marginalised(whole.prior, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))
-    gradient = WindowEnergy(whole._window, whole.prior).linearise(whole.x)[1]
+    whole._window.condition(whole.prior)
+    gradient = whole._window.linearise(whole.x)[1]
     step = whole._window.factorise(1e-9).solve(-gradient)
     rest = fed(data, 8, 9, 0, data.start)
     rest._early[:] = 1.0
     np.testing.assert_allclose(rest.prior.precision, prior.precision, rtol=1e-9, atol=1e-3)
     rest._window.bind(rest._data())
-    own = WindowEnergy(rest._window, rest.prior)
-    remaining = rest._window
-    found_gradient = own.linearise(rest.x)[1]
-    found = remaining.factorise(1e-9).solve(-found_gradient)
+    rest._window.condition(rest.prior)
+    found_gradient = rest._window.linearise(rest.x)[1]
+    found = rest._window.factorise(1e-9).solve(-found_gradient)
     np.testing.assert_allclose(found, step[1:], rtol=0, atol=1e-6)
 
 

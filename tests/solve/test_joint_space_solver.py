@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
@@ -223,14 +221,6 @@ def test_landmarks_are_weighted_by_confidence(scene: Scene) -> None:
     assert errors[1] < 0.5 * errors[0]
 
 
-@pytest.mark.parametrize("silent", [3, 8])
-def test_sensors_without_data_have_no_effect(scene: Scene, silent: int) -> None:
-    imus, of = scene.imus, np.s_[:, :silent]
-    mute = replace(imus, R_world_bone=changed(imus.R_world_bone, of, np.nan), a_world=changed(imus.a_world, of, np.nan))
-    rest = imus.select(imus.joints[silent:]) if silent < 8 else None
-    assert_same_positions(scene.solve(frames=24, bone_imus=mute), scene.solve(frames=24, bone_imus=rest))
-
-
 ENDS = ("Head", "LeftFoot", "RightFoot")
 MARKS = ("LeftHeel", "LeftToe", "RightHeel", "RightToe", "Nose", "LeftEar", "RightEar")
 
@@ -258,25 +248,6 @@ def test_landmarks_or_sensors_orient_feet_and_head() -> None:
         assert rigid == (seen is exact and imus is eight)
     assert degrees[0] > 4
     assert max(degrees[1:]) < 0.5 * degrees[0]
-
-
-def test_unknown_landmarks_are_ignored(scene: Scene) -> None:
-    named = replace(scene.seen, names=(*scene.seen.names[:-1], "left big toe nail"))
-    missing = planted.unseen(scene.seen, slice(None), 20)
-    assert_same_positions(scene.solve(frames=24, keypoints=named), scene.solve(frames=24, keypoints=missing))
-
-
-@settings(max_examples=5, deadline=None)
-@given(joints=st.sets(st.sampled_from(BODY.names), max_size=15))
-def test_any_subset_of_landmarks_is_used(joints: set[str]) -> None:
-    poses = planted.human(BODY, 10).poses
-    imus = planted.bone_imus(BODY, poses)
-    blind = list(BODY.index(*joints)) if joints else []
-    seen = planted.unseen(planted.keypoints(poses), slice(None), blind)
-    out = body(QUICK).solve(poses, seen, imus)
-    assert planted.root_relative_mm(out.poses.p_world_joint, poses.p_world_joint) < 40
-    only = seen.select([name for name in BODY.names if name not in joints])
-    assert_same_positions(body(QUICK).solve(poses, only, imus), out, atol=0.0)
 
 
 def test_unobserved_joints_and_frames_are_bridged(scene: Scene) -> None:

@@ -31,13 +31,6 @@ def random_states(space: StateSpace, frames: int, seed: int = 0) -> Array:
     return space.retract(rest, np.random.default_rng(seed).normal(size=(frames, space.size)))
 
 
-def test_size_counts_three_per_ball_and_one_per_hinge() -> None:
-    assert FREE.size == 3 + 3 * 21
-    assert BENT.size == 3 + 3 * 17 + 4
-    assert StateSpace(BODY, INNER, hinged=True).size == 3 + 3 * (len(INNER) - 4) + 4
-    assert FREE.names == BENT.names == BODY.names
-
-
 def test_hinges_are_the_knees_and_elbows_about_their_flexion_axis() -> None:
     axes = {name: int(a) for name, a in zip(BENT.names, BENT.hinge_axis, strict=True) if a >= 0}
     assert set(axes) == set(HINGED) == {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}
@@ -156,12 +149,6 @@ def columns() -> list[int]:
     return [7 + BODY.dof_names.index(name) for name in limits().names]
 
 
-def test_knees_and_elbows_have_the_limits_of_the_urdf() -> None:
-    assert set(limits().names) == HINGES
-    rows = [BODY.dof_names.index(name) for name in limits().names]
-    np.testing.assert_allclose([limits().lower, limits().upper], BODY.limits[rows].T)
-
-
 def test_values_are_the_angles_of_the_configuration() -> None:
     q = configurations(200)
     np.testing.assert_allclose(limits().values(states_of(q)), q[:, columns()], atol=1e-9)
@@ -201,11 +188,6 @@ def test_limits_that_contradict_each_other_are_refused_by_name(low: float, high:
     vars(body)["limits"] = bounds
     with pytest.raises(InvalidInputError, match="LeftLeg_y"):
         Limits(StateSpace(body, body.names, True))
-
-
-def test_limits_of_a_hinge_that_does_not_move_are_not_asked_for() -> None:
-    moving = [name for name in BODY.names if name != "LeftForeArm"]
-    assert set(Limits(StateSpace(BODY, moving, True)).names) == HINGES - {"LeftForeArm_z"}
 
 
 def test_angles_beyond_a_limit_are_moved_onto_it_and_others_stay() -> None:

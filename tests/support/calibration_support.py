@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.estimate import calibrate, shared_fragments
-from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.calibration.shared_fragments import SharedFragments, Slice
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from overlay_support import write_film
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.view.camera_layer import HEIGHT, Image, VideoFrames
@@ -77,14 +78,9 @@ def test_only_the_last_of_many_requests_is_decoded(video: Path) -> None:
 
 
 def test_large_images_are_made_smaller(tmp_path: Path) -> None:
-    path = tmp_path / "large.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=RATE)
-        stream.width, stream.height, stream.pix_fmt = 1280, 720, "yuv420p"
-        image = np.zeros((720, 1280, 3), dtype=np.uint8)
-        image[:, 640:, 0] = 200
-        for packet in (*stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")), *stream.encode()):
-            container.mux(packet)
+    image = np.zeros((720, 1280, 3), dtype=np.uint8)
+    image[:, 640:, 2] = 200
+    path = write_film(tmp_path / "large.mp4", [image], [0])
     screen = Screen()
     with VideoFrames(path, screen) as frames:
         frames.request(0.0)

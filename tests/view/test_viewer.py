@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from overlay_support import write_film
 from scene_support import BENT, RATE, camera, measured, walking, with_provenance, written
 
 from rtof_kin.body.motion_file import MotionReader
@@ -267,17 +268,8 @@ def test_first_line_of_the_panel_is_the_verdict_and_files_cannot_add_markup(serv
 
 
 def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_path: Path) -> None:
-    av = pytest.importorskip("av")
-    path = tmp_path / "grey.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 320, 180, "yuv420p"
-        for level in range(0, 200, 2):
-            image = np.full((180, 320, 3), level, dtype=np.uint8)
-            for packet in stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
+    levels = [np.full((180, 320, 3), level, dtype=np.uint8) for level in range(0, 200, 2)]
+    path = write_film(tmp_path / "grey.mp4", levels, range(0, 4000, 40))
     with MotionViewer(server, files, [path]) as viewer:
         viewer.controls._seek(3.0)
         layer = viewer.scene.cameras[0]
@@ -291,14 +283,7 @@ def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_pa
         corners = layer.image.position + (signs * half) @ so3.from_quat_wxyz(np.array(layer.image.wxyz)).T
         uv = camera().project(corners)
         np.testing.assert_allclose(uv, [(0, 0), (1280, 0), (1280, 720), (0, 720)], atol=3.0)
-    square = tmp_path / "square.mp4"
-    with av.open(str(square), "w") as container:
-        stream = container.add_stream("libx264", rate=25)
-        stream.width = stream.height = 128
-        stream.pix_fmt = "yuv420p"
-        image = np.zeros((128, 128, 3), dtype=np.uint8)
-        for packet in (*stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")), *stream.encode()):
-            container.mux(packet)
+    square = write_film(tmp_path / "square.mp4", [np.zeros((128, 128, 3), dtype=np.uint8)], [0])
     with pytest.raises(InvalidInputError, match="of another shape"):
         MotionViewer(server, files, [square])
 

@@ -1,15 +1,15 @@
 """`InputTable`: base of the models of TOML and JSON files that people write.
 
 A model is the only source of a table's fields, types, units, defaults and documentation. What a file has wrong is one
-error of the package with file, table, field and remedy; `json_schema` is the same for editors.
+error of the package with file, table, field and remedy; `json_schema` is for editors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, NamedTuple, Self, cast
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from pydantic import (
@@ -22,26 +22,26 @@ from pydantic import (
     PrivateAttr,
     Strict,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     model_validator,
 )
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError, did_you_mean
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
 
-Node = Mapping[str, Any]
-"""A part of a JSON Schema."""
 _LONGEST: Final = 40
 """Most characters of a wrong value in a message."""
+_NUMBER: Final = "is not a finite number"
 _PROBLEMS: Final = {
-    "string": "is not text; put it in quotes",
-    "number": "is not a finite number",
-    "integer": "is not a whole number",
-    "boolean": "is neither true nor false",
+    "string_type": "is not text; put it in quotes",
+    "bool_type": "is neither true nor false",
+    **dict.fromkeys(("int_type", "int_from_float"), "is not a whole number"),
+    **dict.fromkeys(("float_type", "finite_number", "greater_than_equal", "less_than_equal"), _NUMBER),
 }
-"""What is wrong with a value that is not of a type of JSON."""
+"""What is wrong with a value, by pydantic's type of the error."""
 
 
 # --- types of fields -----------------------------------------------------------------------------
@@ -95,8 +95,8 @@ class OneOf:
 
     def checked(self, value: str) -> str:
         """Return the value."""
-        if value not in self.known():
-            raise PydanticCustomError("literal_error", "is no choice")
+        if value not in (known := [*self.known()]):
+            raise PydanticCustomError("literal_error", "is no choice", {"expected": str(known)})
         return value
 
     def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -110,9 +110,22 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def explained_by(problem: str) -> Any:
-    """Return the annotation with what an error says of any wrong value of a field."""
-    return Field(json_schema_extra={"errorMessage": problem})
+class explained_by:  # reads as a word between types
+    """Annotation with what an error says of any wrong value of a field."""
+
+    def __init__(self, problem: str):
+        """Take the end of the sentence that begins with the value."""
+        self.problem = problem
+
+    def checked(self, value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        """Return the value as the field has it."""
+        try:
+            return handler(value)
+        except ValidationError as error:
+            raise _fault(f"{_short(value)} {self.problem}") from error
+
+    def __get_pydantic_core_schema__(self, kind: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_wrap_validator_function(self.checked, handler(kind))
 
 
 Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
@@ -156,23 +169,7 @@ class Rule(NamedTuple):
                 raise _fault(self.problem, field)
         for field in self.required:
             if not table.has(field):
-                raise _fault(self.problem, field)
-
-    def schema(self) -> dict[str, Any]:
-        """Return it as a JSON Schema."""
-        conditions: list[dict[str, Any]] = []
-        if self.given:
-            conditions.append({"anyOf": [{"required": [field]} for field in self.given]})
-        conditions += [{"not": {"required": [field]}} for field in self.absent]
-        if self.ending:
-            letters = "".join(f"[{c}{c.upper()}]" for c in self.ending[1:])
-            named = {"file": {"type": "string", "pattern": rf"\.{letters}$"}}
-            conditions.append({"required": ["file"], "properties": named})
-        message = {"errorMessage": self.problem} if self.problem else {}
-        then: dict[str, Any] = {"required": list(self.required), **message} if self.required else {}
-        if self.excluded:
-            then["properties"] = {field: {"not": {}, **message} for field in self.excluded}
-        return {"if": {"allOf": conditions} if len(conditions) > 1 else conditions[0], "then": then}
+                raise _fault(self.problem or table.missing(field), field)
 
 
 class InputTable(BaseModel):
@@ -198,7 +195,7 @@ class InputTable(BaseModel):
         try:
             table = cls.model_validate(data)
         except ValidationError as error:
-            raise _explained(error, cls, data, path, name) from error
+            raise _explained(error, data, path, name) from error
         _locate(table, path, name)
         return table
 
@@ -219,18 +216,30 @@ class InputTable(BaseModel):
         """Return whether a field is given."""
         return field in self.model_fields_set
 
+    @classmethod
+    def missing(cls, field: str) -> str:
+        """Return the end of the sentence about a field that is not given."""
+        return f"missing; add it: {' '.join((cls.model_fields[field].description or field).split())}"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_its_fields(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        unknown = [name for name in data if name not in cls.model_fields]
+        if unknown and cls.model_config["extra"] == "forbid":
+            names = {"unknown": unknown, "known": sorted(cls.model_fields)}
+            raise PydanticCustomError("extra_forbidden", "unknown field", {"field": unknown[0], **names})
+        for name, field in cls.model_fields.items():
+            if field.is_required() and name not in data:
+                raise _fault(cls.missing(name), name)
+        return data
+
     @model_validator(mode="after")
     def _keeps_rules(self) -> Self:
         for rule in self.rules:
             rule.check(self)
         return self
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        schema = handler.resolve_ref_schema(handler(core))
-        if cls.rules:
-            schema["allOf"] = [rule.schema() for rule in cls.rules]
-        return schema
 
 
 def _fault(problem: str, field: str = "") -> PydanticCustomError:
@@ -271,7 +280,7 @@ class _Schema(GenerateJsonSchema):
 
 
 def json_schema(model: type[InputTable]) -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of a table; ``errorMessage`` is also known to editors."""
+    """Return the JSON Schema (2020-12) of a table, which does not have its rules."""
     content = model.model_json_schema(schema_generator=_Schema)
     for node in (content, *content.get("$defs", {}).values()):
         node.pop("title", None)
@@ -283,81 +292,47 @@ def json_schema(model: type[InputTable]) -> dict[str, Any]:
     return content
 
 
-@cache
-def inlined_schema(model: type[InputTable]) -> Node:
-    """Return the JSON Schema of a table, with what it refers to in place of its references."""
-    content = json_schema(model)
-    definitions = content.pop("$defs", {})
-
-    def resolved(node: Any) -> Any:
-        if isinstance(node, list):
-            return [resolved(one) for one in node]
-        if not isinstance(node, dict):
-            return node
-        if "$ref" in node:
-            node = definitions[node["$ref"].rsplit("/", 1)[1]] | {k: node[k] for k in node if k != "$ref"}
-        return {key: resolved(value) for key, value in node.items()}
-
-    return cast(Node, resolved(content))
-
-
-def shape_of(node: Node) -> tuple[int, ...]:
-    """Return the shape of an array of numbers in a schema."""
-    return () if node.get("type") != "array" else (node["minItems"], *shape_of(node["items"]))
-
-
 # --- errors --------------------------------------------------------------------------------------
 
 
-def _explained(found: ValidationError, model: type[InputTable], data: Any, path: Path, name: str) -> RtofError:
+def _explained(found: ValidationError, data: Any, path: Path, name: str) -> RtofError:
     """Return the package's error about what is wrong first: unknown fields, which may be required ones misspelt."""
     first = min(found.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
     steps: list[Any] = list(first["loc"])
     context = first.get("ctx", {})
     steps += [context["field"]] if context.get("field") else []
-    table, node, label = data, inlined_schema(model), name
+    table, label = data, name
     while len(steps) > 1 and isinstance(table, dict):
         inner, step = table.get(steps[0]), str(steps[0])
         if isinstance(inner, list) and isinstance(steps[1], int):
             inner, step = inner[steps[1]], f"{step}.{steps.pop(1) + 1}"
         if not isinstance(inner, dict):
             break
-        table, node, label = inner, _field(node, steps.pop(0)), f"{label}.{step}" if label else step
-        node = node.get("items", node)
+        table, label = inner, f"{label}.{step}" if label else step
+        del steps[0]
     if not steps:
         return FileFormatError(path, "not a table of fields with values")
     field, title = str(steps[0]), f"[{label}] " if label else ""
     if first["type"] == "extra_forbidden":
-        known = sorted(node["properties"])
-        return UnknownNameError("field", [one for one in table if one not in known], known, path, title.strip())
-    node = _field(node, field)
-    problem = context.get("problem") or _problem(node, table, field, f"{label}.{field}" if label else field)
+        return UnknownNameError("field", context["unknown"], context["known"], path, title.strip())
+    problem = context.get("problem") or _problem(first, table[field], f"{label}.{field}" if label else field)
     return FileFormatError(path, f"{title}{field}: {problem}")
 
 
-def _field(node: Node, field: str) -> Node:
-    """Return the schema of a field of a table."""
-    own = node.get("properties", {})
-    return cast(Node, own[field] if field in own else node["additionalProperties"])
-
-
-def _problem(node: Node, table: Node, field: str, name: str) -> str:
-    """Return what is wrong with a field that is missing or of another kind, and the remedy."""
-    kind, rows = node.get("type", "string"), node.get("items", {}).get("type")
-    if field not in table:
-        examples = {"string": f'add e.g. {field} = "..."', "integer": f"add e.g. {field} = 1"}
-        examples["object"] = f"write its fields under [{name}]"
-        if kind == "array":
-            return f"missing; add {ArrayOf(*shape_of(node)).size} numbers"
-        return f"missing; {examples.get(kind, f'add e.g. {field} = 1.0')}"
-    value = str(table[field]) if kind == "number" else repr(table[field])
-    value = value[:_LONGEST]
-    if "errorMessage" in node:
-        return f"{value} {node['errorMessage']}"
-    if "enum" in node or "const" in node:
-        known = [str(one) for one in node.get("enum", [node.get("const")])]
-        hint = did_you_mean([str(table[field])], known)
-        return f"{value} is not one of {', '.join(known)}{'.' if hint else ''}{hint}"
-    if kind == "array" and rows == "object":
+def _problem(found: ErrorDetails, value: Any, name: str) -> str:
+    """Return what is wrong with a value of another kind than that of its field, and the remedy."""
+    kind = found["type"]
+    if kind == "literal_error":
+        expected = found["ctx"]["expected"]
+        known = re.findall("'([^']*)'", expected) or [expected]
+        hint = did_you_mean([str(value)], known)
+        return f"{_short(value)} is not one of {', '.join(known)}{'.' if hint else ''}{hint}"
+    if kind in _PROBLEMS:
+        return f"{_short(value)} {_PROBLEMS[kind]}"
+    if kind == "tuple_type" or isinstance(value, list):
         return f"not tables in a row; begin each with [[{name}]]"
-    return f"not a table; write its fields under [{name}]" if kind == "object" else f"{value} {_PROBLEMS[kind]}"
+    return f"not a table; write its fields under [{name}]"
+
+
+def _short(value: Any) -> str:
+    return repr(value)[:_LONGEST]

@@ -25,6 +25,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import processor
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.manifest import make_folders
@@ -142,18 +143,7 @@ def _is_own(path: Path) -> bool:
 
 def native() -> tuple[str, ...]:
     """Return compiler options for this processor, if its kind can be identified."""
-    return ("-march=native",) if _processor() else ()
-
-
-@lru_cache
-def _processor() -> str:
-    """Return the identity of this kind of processor; empty if unknown."""
-    path = Path("/proc/cpuinfo")
-    if platform.system() != "Linux" or not path.is_file():
-        return ""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    known = ("flags", "Features", "model name", "CPU implementer", "CPU part")
-    return " ".join(sorted({line for line in lines if line.startswith(known)}))
+    return ("-march=native",) if Path("/proc/cpuinfo").is_file() else ()
 
 
 @lru_cache
@@ -165,7 +155,7 @@ def _version(compiler: str) -> str:
 
 def _identity(made_of: str, options: tuple[str, ...]) -> str:
     """Return the SHA-256 of everything that determines a library except the compiler."""
-    kind = _processor() if options else ""
+    kind = processor() if options else ""
     made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
     return hashlib.sha256(f"{made} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
 

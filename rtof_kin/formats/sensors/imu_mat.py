@@ -52,9 +52,10 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
     return sensor_log([path], TITLE, sensors, declaration, lost(times))
 
 
-def matlab_variables(path: Path) -> dict[str, Any]:
+def matlab_variables(path: Path, simplify_cells: bool = False) -> dict[str, Any]:
     """Load all variables of a MATLAB file (v5 to v7) after summing their uncompressed sizes. Structs are
-    `scipy.io.matlab.mat_struct` in arrays of objects. Nothing in the file is executed. `FileFormatError`: no such file,
+    `scipy.io.matlab.mat_struct` in arrays of objects, or simplified: dictionaries, and axes of one element are left
+    out. Nothing in the file is executed. `FileFormatError`: no such file,
     of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
     """
     try:
@@ -68,7 +69,9 @@ def matlab_variables(path: Path) -> dict[str, Any]:
                 if total > LARGEST_BYTES:
                     limit = f"{LARGEST_BYTES / 2**20:.0f} MiB"
                     raise FileFormatError(path, f"would fill more than {limit} of memory")
-        return dict(scipy_io.loadmat(str(path), struct_as_record=False, squeeze_me=False))
+        return dict(
+            scipy_io.loadmat(str(path), struct_as_record=False, squeeze_me=False, simplify_cells=simplify_cells)
+        )
     except FileFormatError:
         raise
     except FileNotFoundError as error:

@@ -225,8 +225,5 @@ def _check_stamps(table: SensorTable, packets: Packets, rate: float) -> tuple[st
     tick = float(np.median(np.diff(stamps[packets.rows]) / np.diff(packets.count)))
     if not tick > 0 or any(abs(tick * rate / per_second - 1) < 0.02 for per_second in (1e4, 1e6)):
         return ()
-    return (
-        f"{_STAMP} steps by {tick:g}, which is {1e4 / tick:.4g} Hz in its ticks of 0.1 ms or "
-        f"{1e6 / tick:.4g} Hz in microseconds, and the rate is taken as {rate:g} Hz; declare rate_hz if "
-        "that is wrong",
-    )
+    said = f"{1e4 / tick:.4g} Hz in ticks of 0.1 ms or {1e6 / tick:.4g} Hz in microseconds"
+    return (f"{_STAMP} steps by {tick:g}: {said}, and the rate is taken as {rate:g} Hz; else declare rate_hz",)

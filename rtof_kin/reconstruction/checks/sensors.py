@@ -34,12 +34,10 @@ SETUP = "evidence for another setup"
 _SURE, _SURE_OF_ONE = 25.0, 40.0
 """Log-likelihood ratios [nats] from which a fault is reported: of several sensors, and of a single one,
 which unusual movement resembles."""
-_OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
+_OF_ALL, _OF_ONE = (FaultKind.FACING,), (FaultKind.SEGMENT, FaultKind.MOUNTING)
 """Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
 _THINNED = 0.05  # [s] between the samples in which exchanged sensors are looked for
 _LEAST_SECONDS = 2.0  # [s] of movement by which placement and references of sensors can be checked, at least
-_OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
-"""Faults looked for where nothing else was found; a rotated world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
 """Faults whose evidence differs where the sensors were calibrated in an N-pose."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
@@ -169,7 +167,7 @@ def _check_setup(
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
         fault
-        for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE))
+        for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE))
         for fault in diagnose_setup(
             bone_imus, skeleton, pose=pose, visual=visual, calibration=calibration, kinds=kinds, most=1
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
@@ -127,7 +127,6 @@ def _by_column(statistic: Callable[[Array], Any], values: Array) -> Array:
 
 LONGEST: Final = 120.0  # [s] of a recording that a study takes if nothing else is wanted
 _BIN: Final = 1.0  # [s] over which movement is averaged
-_MARGIN: Final = 1.0  # [s] of samples of the sensors on both sides of the video
 
 
 @dataclass(frozen=True)
@@ -149,22 +148,8 @@ class Part:
         return self.seconds >= self.whole
 
     def of(self, recording: Recording) -> Recording:
-        """Return this part of a recording; the reference is left as it is."""
-        keypoints, imus = recording.keypoints, recording.imus
-        if self.is_whole:
-            return recording
-        margin = 0.0
-        if keypoints is not None:
-            keypoints, margin = keypoints[self._frames(keypoints.times)], _MARGIN
-        if imus is not None:
-            some = self._frames(imus.times, margin)
-            R, f = imus.R_inertial_sensor[some], imus.f_sensor[some]
-            imus = replace(imus, times=imus.times[some], R_inertial_sensor=R, f_sensor=f)
-        return replace(recording, keypoints=keypoints, imus=imus)
-
-    def _frames(self, times: Array, margin: float = 0.0) -> slice:
-        first, last = np.searchsorted(times, [self.start - margin, self.stop + margin], "right")
-        return slice(max(0, int(first) - 1), int(last))
+        """Return this part of a recording."""
+        return recording if self.is_whole else recording.between(self.start, self.stop)
 
 
 def liveliest_part(recording: Recording, longest: float) -> Part:

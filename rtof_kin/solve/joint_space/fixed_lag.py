@@ -6,62 +6,28 @@ window may change until they leave it. The residuals are those of `FragmentSolve
 but for accelerations of the last 0.2 s. In `finish` these count too: with a window as long as the recording
 the result is that of one fragment.
 
-Quadratic prior of the first frames of a window, from the frames before it. Frames leave a window by marginalisation:
-all terms that contain the leaving frame are linearised at the present states, robust weights included, and the frame is
-eliminated by the Schur complement. What remains is an energy of the three frames that the jerk couples with it::
-
-    E(x) = eta^T d + 1/2 d^T Lambda d        d = x - x_0 in tangent coordinates
-
-(Sibley, Matthies & Sukhatme 2010; Dong-Si & Mourikis 2011). Linearisation points x_0 are kept.
+The prior of the frames before the window is a `fragment.MarginalPrior`: all terms that contain the leaving frame are
+linearised at the present states, robust weights included, and the frame is eliminated by the Schur complement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from scipy.linalg import lapack
 
-from rtof_kin.core import quaternions as quat
-from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import Factor, inverse_diagonal
+from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
 from rtof_kin.solve.joint_space.annealing import CameraErrors
-from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy
+from rtof_kin.solve.joint_space.fragment import MEMORY, FragmentData, FragmentEnergy, MarginalPrior
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.state import Limits, StateSpace
+from rtof_kin.solve.joint_space.state import Limits
 from rtof_kin.solve.joint_space.stencils import LAGS
-
-MEMORY = LAGS - 1  #: Frames that a marginalised frame leaves a prior on
-
-
-@dataclass(frozen=True)
-class MarginalPrior:
-    """Energy of the first three frames of a window."""
-
-    x: Array  #: (3, 3 + 4A) linearisation points
-    precision: Array  #: (3D, 3D) Lambda
-    slope: Array  #: (3D,) eta
-
-    @classmethod
-    def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
-        """Return a prior without information. x: (3, 3 + 4A) any states."""
-        size = MEMORY * space.size
-        return cls(x, np.zeros((size, size)), np.zeros(size))
-
-    def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
-        """Return the energy and its gradient (3, D) by tangents at x. x: (3, 3 + 4A)."""
-        d = space.difference(self.x, x).ravel()
-        pulled = self.precision @ d
-        force = (self.slope + pulled).reshape(MEMORY, -1)
-        turns = (d.reshape(MEMORY, -1)[:, 3:] @ space.expand.T).reshape(MEMORY, -1, 3)
-        torque = (force[:, 3:] @ space.expand.T).reshape(turns.shape)
-        torque = np.einsum("taij,tai->taj", quat.right_jacobian_inverse(turns), torque)
-        gradient = np.concatenate([force[:, :3], torque.reshape(MEMORY, -1) @ space.expand], axis=1)
-        return float(d @ (self.slope + pulled / 2)), gradient
 
 
 def marginalised(
@@ -96,54 +62,6 @@ def marginalised(
     precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
     slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
     return MarginalPrior(x[1:].copy(), precision, slope)
-
-
-class WindowEnergy:
-    """The energy of a window with the prior of its first frames; see `levenberg_marquardt.Problem`.
-
-    Attributes:
-        energy: of the window's own terms. prior: of its first three frames.
-    """
-
-    def __init__(self, energy: FragmentEnergy, prior: MarginalPrior) -> None:
-        self.energy, self.prior, self.space = energy, prior, energy.space
-        self._known: tuple[Array, float, Array] | None = None
-
-    def retract(self, x: Array, step: Array) -> Array:
-        """Return the states after a step (N, D)."""
-        return self.energy.retract(x, step)
-
-    def total(self, x: Array) -> float:
-        """Return the energy."""
-        return self.energy.total(x) + self._at(x)[0]
-
-    def gradient(self, x: Array) -> Array:
-        """Return the gradient (N, D)."""
-        gradient = self.energy.gradient(x)
-        gradient[:MEMORY] += self._at(x)[1]
-        return gradient
-
-    def linearise(self, x: Array) -> tuple[float, Array]:
-        """Return energy and gradient (N, D); keep the Hessian."""
-        energy, gradient = self.energy.linearise(x)
-        own, slope = self._at(x)
-        self.energy.add_to_first(self.prior.precision)
-        gradient[:MEMORY] += slope
-        return energy + own, gradient
-
-    def _at(self, x: Array) -> tuple[float, Array]:
-        """The prior's energy and gradient, kept until another array is given."""
-        if self._known is None or self._known[0] is not x:
-            self._known = (x, *self.prior.at(self.space, x[:MEMORY]))
-        return self._known[1:]
-
-    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
-        """Add to entries of the diagonal blocks of the Hessian."""
-        self.energy.add_to_diagonal(frames, rows, columns, values)
-
-    def factorise(self, damping: float) -> Factor:
-        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""
-        return self.energy.factorise(damping)
 
 
 _DAMPING: Final = 1e-6
@@ -260,7 +178,8 @@ class FixedLagSmoother:
             residuals = self._window.value(self.x)[1]
             self._errors.estimate(residuals, self.rows["w_visual"] > 0, self._share())
             self._window.bind(self._data())
-        solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
+        self._window.condition(self.prior)
+        solver = LevenbergMarquardt(self._window, self.limits)
         tolerance = self._settings.tolerance if tolerance is None else tolerance
         solved = solver.solve(self.x, iterations, tolerance, self._multipliers)
         if not np.isfinite(solved.x).all():
@@ -275,7 +194,8 @@ class FixedLagSmoother:
 
     def covariance(self, first: int) -> Array:
         """Return marginal covariances (N - first, D, D) of frames from `first` on; NaN for a singular Hessian."""
-        solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
+        self._window.condition(self.prior)
+        solver = LevenbergMarquardt(self._window, self.limits)
         solver.linearise(self.x, self._multipliers)
         D = self.space.size
         try:

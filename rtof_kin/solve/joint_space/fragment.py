@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.numerics.banded import Factor, Store
@@ -36,6 +37,7 @@ from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.joint_space.stencils import LAGS, HessianColumns
 from rtof_kin.solve.terms import Term
 
+MEMORY: Final = LAGS - 1  #: Frames that a marginalised frame leaves a prior on
 BEYOND: Final = 2  #: Rows below the third block's diagonal that the axes of a joint reach
 
 
@@ -79,6 +81,39 @@ class FragmentFunctions:
         return cls({given.function.name(): given for given in simple}, linear, coupled, code)
 
 
+@dataclass(frozen=True)
+class MarginalPrior:
+    """Energy of the first three frames of a window, from the frames that have left it.
+
+    ::
+
+        E(x) = eta^T d + 1/2 d^T Lambda d        d = x - x_0 in tangent coordinates
+
+    (Sibley, Matthies & Sukhatme 2010; Dong-Si & Mourikis 2011). Linearisation points x_0 are kept.
+    """
+
+    x: Array  #: (3, 3 + 4A) linearisation points
+    precision: Array  #: (3D, 3D) Lambda
+    slope: Array  #: (3D,) eta
+
+    @classmethod
+    def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
+        """Return a prior without information. x: (3, 3 + 4A) any states."""
+        size = MEMORY * space.size
+        return cls(x, np.zeros((size, size)), np.zeros(size))
+
+    def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
+        """Return the energy and its gradient (3, D) by tangents at x. x: (3, 3 + 4A)."""
+        d = space.difference(self.x, x).ravel()
+        pulled = self.precision @ d
+        force = (self.slope + pulled).reshape(MEMORY, -1)
+        turns = (d.reshape(MEMORY, -1)[:, 3:] @ space.expand.T).reshape(MEMORY, -1, 3)
+        torque = (force[:, 3:] @ space.expand.T).reshape(turns.shape)
+        torque = np.einsum("taij,tai->taj", quat.right_jacobian_inverse(turns), torque)
+        gradient = np.concatenate([force[:, :3], torque.reshape(MEMORY, -1) @ space.expand], axis=1)
+        return float(d @ (self.slope + pulled / 2)), gradient
+
+
 class FragmentEnergy:
     """Energy of N frames by their states x (N, 3 + 4A), with a banded Gauss-Newton Hessian.
 
@@ -113,6 +148,8 @@ class FragmentEnergy:
         self._jerk_of: tuple[Array, float] | None = None
         self._known: tuple[Array, list[float]] | None = None
         self._inverse_known = False
+        self._prior: MarginalPrior | None = None
+        self._prior_at: tuple[Array, float, Array] | None = None
         self._filled = 0
         """Columns to which `add_to_first` has added."""
 
@@ -183,6 +220,18 @@ class FragmentEnergy:
             self._jerk_of = data.w_jerk.copy(), data.rate_hz
             self._coefficients[:, inside] = jerk_coefficients(N, data.w_jerk, data.rate_hz).T
 
+    def condition(self, prior: MarginalPrior) -> None:
+        """Add a prior of the first frames to energy, gradient and Hessian, but not to `value`."""
+        self._prior, self._prior_at = prior, None
+
+    def _before(self, x: Array) -> tuple[float, Array]:
+        """The prior's energy and gradient, kept until another array is given."""
+        if self._prior is None:
+            return 0.0, np.zeros(0)
+        if self._prior_at is None or self._prior_at[0] is not x:
+            self._prior_at = (x, *self._prior.at(self.space, x[:MEMORY]))
+        return self._prior_at[1:]
+
     def reweigh(self, name: str, weight: Array) -> None:
         """Replace the weights (N, ...), 1 / sigma^2, of one kind of observation, of `FrameEnergy.observation`."""
         self._known = None
@@ -201,13 +250,16 @@ class FragmentEnergy:
 
     def total(self, x: Array) -> float:
         """Return the energy."""
-        return sum(self._evaluated(x))
+        return sum(self._evaluated(x)) + self._before(x)[0]
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient (N, D) in tangent coordinates, 1/m and 1/rad."""
         self._turned(x)
         self._run["pulled"]()
-        return self._columns.rows(self._gradient_now)
+        gradient = self._columns.rows(self._gradient_now)
+        if self._prior is not None:
+            gradient[:MEMORY] += self._before(x)[1]
+        return gradient
 
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Return energy and gradient (N, D); keep the Hessian for the methods below."""
@@ -216,7 +268,13 @@ class FragmentEnergy:
         self._filled = 0
         self._run["linear"]()
         self._run["coupled"]()
-        return sum(terms), self._columns.rows(self._gradient_now)
+        gradient = self._columns.rows(self._gradient_now)
+        if self._prior is None:
+            return sum(terms), gradient
+        own, slope = self._before(x)
+        self.add_to_first(self._prior.precision)
+        gradient[:MEMORY] += slope
+        return sum(terms) + own, gradient
 
     def _evaluated(self, x: Array) -> list[float]:
         """Energies at x as in `value`, kept until another state or other data are given."""
