@@ -250,10 +250,6 @@ def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Me
     angles = trial.analysis.angles
     strides = with_strides(trial.name, angles, trial.analysis.gait).strides
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
-        with_strides(trial.name, angles, trial.analysis.gait).strides
-        if by == "cycle"
-        else {"": trial.repetitions.get(kind, ())}
-    )
     ranges = {row.name: row for row in trial.analysis.ranges}
     for row in angles.rows:
         if row.name in HEADINGS or row.about_vertical:
