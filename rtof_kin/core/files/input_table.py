@@ -173,7 +173,7 @@ class Rule(NamedTuple):
 
 
 class InputTable(BaseModel):
-    """A table of a file that people write; fields that the model lacks are refused, unless its `extra` is to ignore."""
+    """A table of a file that people write; other fields than those of the model are refused."""
 
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
@@ -227,7 +227,7 @@ class InputTable(BaseModel):
         if not isinstance(data, dict):
             return data
         unknown = [name for name in data if name not in cls.model_fields]
-        if unknown and cls.model_config.get("extra") != "ignore":
+        if unknown and cls.model_config["extra"] == "forbid":
             names = {"unknown": unknown, "known": sorted(cls.model_fields)}
             raise PydanticCustomError("extra_forbidden", "unknown field", {"field": unknown[0], **names})
         for name, field in cls.model_fields.items():
