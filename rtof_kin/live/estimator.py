@@ -234,7 +234,7 @@ class OnlineEstimator:
         self._see(solve)
         if solve:
             window.stand(times)
-            self._iterate(self.settings.iterations)
+            self._iterate()
 
     def _correct(self, refinement: Refinement) -> None:
         """Go on with the calibration and apply what it found."""
@@ -245,9 +245,9 @@ class OnlineEstimator:
         if found.posture:
             self._window.prefer(found.posture)
 
-    def _iterate(self, iterations: int) -> None:
+    def _iterate(self) -> None:
         try:
-            self._window.smoother.iterate(iterations)
+            self._window.smoother.iterate(1)
         except SolverError:
             self._restart(self._window.smoother.x[-1])
 
