@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from benchmarks import scoring
+from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
@@ -42,8 +43,8 @@ from rtof_kin.simulation.simulate import LIMB_SENSORS, SimulationSettings, low_p
 HERE = Path(__file__).parent
 KEYPOINTS = {
     "perfect": SimulationSettings.perfect,
-    "white": SimulationSettings.white,
-    "independent": SimulationSettings.independent,
+    "white": white,
+    "independent": independent,
     "realistic": SimulationSettings.realistic,
     "unexchanged": lambda: SimulationSettings(keypoints=DetectorErrors(exchanges=0.0)),
 }

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import total_capture_files as files
+from benchmarks.keypoint_noise import independent
 from benchmarks.total_capture_motion import (
     RATE_HZ,
     SHORTEST_CLIP,
@@ -39,7 +40,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
-from rtof_kin.simulation.simulate import SimulationSettings, simulate
+from rtof_kin.simulation.simulate import simulate
 
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
 CAMERA_2_BIAS_PX = (20.0, -8.0)
@@ -180,7 +181,7 @@ def write_detections(folder: Path, take: StandInTake, number: int, camera: Camer
         poses.names,
     )
     late = (float(lag), float(lag))
-    settings = replace(SimulationSettings.independent(), sensors=(), video_lag_frames=late)
+    settings = replace(independent(), sensors=(), video_lag_frames=late)
     random = int(np.random.default_rng([seed, about_take, number]).integers(2**31))
     recording = simulate(padded, take.joint_offsets, camera=camera, settings=settings, seed=random)
     shorter = _SHORTER_VIDEO.get((take.subject, take.name), 0)

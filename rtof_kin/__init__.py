@@ -12,26 +12,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtof_kin.body.metrics import evaluate
-    from rtof_kin.body.skeleton import Motion, SkeletonModel
-    from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.clinical.analysis import analyse
-    from rtof_kin.core.errors import InvalidInputError, RtofError
-    from rtof_kin.data.camera import Camera
-    from rtof_kin.data.imu import ImuCalibration, ImuSequence
-    from rtof_kin.data.keypoints import KeypointSequence
-    from rtof_kin.data.poses import PoseSequence
-    from rtof_kin.live.estimator import OnlineEstimator
-    from rtof_kin.reconstruction.pipeline import reconstruct
-    from rtof_kin.reconstruction.result import Reconstruction
-    from rtof_kin.reconstruction.settings import ReconstructionSettings
-    from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.comparison import compare
-    from rtof_kin.reporting.export import export
-    from rtof_kin.reporting.page import report
-    from rtof_kin.setup.init import make_recording
-    from rtof_kin.setup.run import run
-    from rtof_kin.solve.fragment_solver import FragmentSolver
+    from rtof_kin.body.metrics import evaluate as evaluate
+    from rtof_kin.body.skeleton import Motion as Motion
+    from rtof_kin.body.skeleton import SkeletonModel as SkeletonModel
+    from rtof_kin.calibration.result import SelfCalibration as SelfCalibration
+    from rtof_kin.clinical.analysis import analyse as analyse
+    from rtof_kin.core.errors import InvalidInputError as InvalidInputError
+    from rtof_kin.core.errors import RtofError as RtofError
+    from rtof_kin.data.camera import Camera as Camera
+    from rtof_kin.data.imu import ImuCalibration as ImuCalibration
+    from rtof_kin.data.imu import ImuSequence as ImuSequence
+    from rtof_kin.data.keypoints import KeypointSequence as KeypointSequence
+    from rtof_kin.data.poses import PoseSequence as PoseSequence
+    from rtof_kin.live.estimator import OnlineEstimator as OnlineEstimator
+    from rtof_kin.reconstruction.pipeline import reconstruct as reconstruct
+    from rtof_kin.reconstruction.result import Reconstruction as Reconstruction
+    from rtof_kin.reconstruction.settings import ReconstructionSettings as ReconstructionSettings
+    from rtof_kin.recording.recording import Recording as Recording
+    from rtof_kin.reporting.comparison import compare as compare
+    from rtof_kin.reporting.export import export as export
+    from rtof_kin.reporting.page import report as report
+    from rtof_kin.setup.init import make_recording as make_recording
+    from rtof_kin.setup.run import run as run
+    from rtof_kin.solve.fragment_solver import FragmentSolver as FragmentSolver
 
 _HOME = {
     "Camera": "data.camera",
@@ -58,31 +61,7 @@ _HOME = {
     "report": "reporting.page",
     "run": "setup.run",
 }
-__all__ = [
-    "Camera",
-    "FragmentSolver",
-    "ImuCalibration",
-    "ImuSequence",
-    "InvalidInputError",
-    "KeypointSequence",
-    "Motion",
-    "OnlineEstimator",
-    "PoseSequence",
-    "Reconstruction",
-    "ReconstructionSettings",
-    "Recording",
-    "RtofError",
-    "SelfCalibration",
-    "SkeletonModel",
-    "analyse",
-    "compare",
-    "evaluate",
-    "export",
-    "make_recording",
-    "reconstruct",
-    "report",
-    "run",
-]
+__all__ = tuple(_HOME)
 
 
 def __getattr__(name: str) -> Any:

@@ -27,11 +27,12 @@ import numpy as np
 from benchmarks import harness
 from benchmarks.accuracy.__main__ import clips as benchmark_clips
 from benchmarks.calibration.sessions import joined
+from benchmarks.keypoint_noise import independent
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
+from rtof_kin.simulation.simulate import simulate, standard_cameras
 
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "angle deg"}
 VALIDATION = ("131_01", "131_02", "131_03", "08_04", "08_11")
@@ -58,7 +59,7 @@ def motions(corpus: Path, subset: str, kind: str) -> list[MocapClip]:
 
 def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) -> Recording:
     """Simulate the recording of a motion; without calibration errors where they are known."""
-    settings = replace(SimulationSettings.independent(), sensors=tuple(sensors))
+    settings = replace(independent(), sensors=tuple(sensors))
     if known:
         settings = replace(
             settings,

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.keypoint_noise import KeypointNoise
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, bone_groups
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
-from rtof_kin.simulation.noise import KeypointNoise
 
 Values = dict[str, Array]
 """Item -> (w,) in SI units or px."""

@@ -31,10 +31,11 @@ from rtof_kin.body.metrics import at_times, evaluate
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit

@@ -278,14 +278,11 @@ def _refined(
 def _judged(
     calibration: ImuCalibration, starts: list[_Start], refined: SelfCalibration | None
 ) -> tuple[SensorAlignment, ...]:
-    out = []
+    out, known = [], {} if refined is None else {(q.kind, q.item): q.sigma for q in refined.quantities if q.observed}
     for s, (sensor, joint, start) in enumerate(zip(calibration.sensors, calibration.joints, starts, strict=True)):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
-        sigma, axes = start.sigma, np.array([_SWING, _SWING, _TWIST])
-        if refined is not None and joint in refined.of_kind("heading"):
-            sigma = float(refined["heading", joint].sigma[0])
-        if refined is not None and joint in refined.of_kind("mounting"):
-            axes = refined["mounting", joint].sigma
+        sigma = float(known.get(("heading", joint), [start.sigma])[0])
+        axes = np.asarray(known.get(("mounting", joint), [_SWING, _SWING, _TWIST]))
         mounting = float(np.sqrt(np.mean(axes**2)))
         doubt = ""
         if start.margin < _MARGIN:

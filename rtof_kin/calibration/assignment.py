@@ -132,11 +132,6 @@ class Assignment:
     """Sensor -> other segments that are possible and their probabilities, falling."""
     doubt: str  # What is not sure and what to do about it, in one sentence; empty where all is sure
 
-    @property
-    def sure(self) -> bool:
-        """Whether every sensor's segment is sure."""
-        return not self.doubt
-
 
 def assign_sensors(
     log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence | None = None, *, candidates: Candidates | None = None
@@ -188,7 +183,20 @@ def match_sensors(
     Raises:
         InvalidInputError: without poses, a segment that nothing was learned of, or no accelerations.
     """
-    single, pair = _scores(motions, skeleton, segments, poses)
+    score = shipped_score()
+    learned = motions.accelerated and set(segments) <= set(score.segments)
+    if poses is None and not learned:
+        unknown = sorted(set(segments) - set(score.segments))
+        lacking = f"for {', '.join(unknown)}" if unknown else "without accelerations"
+        raise InvalidInputError(
+            f"which sensor is where cannot be told from motion alone {lacking}; give poses from a video"
+        )
+    single, pair = np.zeros((len(motions.names), len(segments))), None
+    if learned:
+        single, pair = (_MOTION_WEIGHT * table for table in score.tables(motions, segments))
+    if poses is not None:
+        weight = _IMAGE_WEIGHT / (1 + len(motions) / RATE_HZ / _VIEW_MEMORY)
+        single = single + weight * image_scores(motions, poses, skeleton, segments)
     return match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=prior or _symmetric(segments))
 
 
@@ -215,27 +223,6 @@ def _possible(
     if not allowed[rows, columns].all():
         raise InvalidInputError("the candidates leave no segment of its own for each sensor; name more of them")
     return segments, allowed
-
-
-def _scores(
-    motions: SensorMotions, skeleton: SkeletonModel, segments: tuple[str, ...], poses: PoseSequence | None
-) -> tuple[Array, Array | None]:
-    """Return the scores of single sensors (S, K), and of pairs (S, S, K, K) where motion tells them."""
-    score = shipped_score()
-    learned = motions.accelerated and set(segments) <= set(score.segments)
-    if poses is None and not learned:
-        unknown = sorted(set(segments) - set(score.segments))
-        lacking = f"for {', '.join(unknown)}" if unknown else "without accelerations"
-        raise InvalidInputError(
-            f"which sensor is where cannot be told from motion alone {lacking}; give poses from a video"
-        )
-    single, pair = np.zeros((len(motions.names), len(segments))), None
-    if learned:
-        single, pair = (_MOTION_WEIGHT * table for table in score.tables(motions, segments))
-    if poses is not None:
-        weight = _IMAGE_WEIGHT / (1 + len(motions) / RATE_HZ / _VIEW_MEMORY)
-        single = single + weight * image_scores(motions, poses, skeleton, segments)
-    return single, pair
 
 
 def _symmetric(segments: Sequence[str]) -> Score:

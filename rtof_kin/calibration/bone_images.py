@@ -189,31 +189,28 @@ def check_clocks(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> Check:
     """Check that the clocks of video and sensors agree within `LIMIT`; arguments as for `bone_images`."""
-    what = "video and sensors"
-    images = bone_images(keypoints, bone_imus, poses, skeleton)
+    what, images = "video and sensors", bone_images(keypoints, bone_imus, poses, skeleton)
     scan = None if images is None else scan_clocks(images)
     if images is None or scan is None:
         why = f"they have less than {LEAST_COMMON:g} s in common of bones that both show"
         return Check.unknown(NAME, what, "s", why)
-    if abs(scan.best) > LIMIT:
+    (second, gain), far, why = scan.rival, abs(scan.best) > LIMIT, ""
+    rival = f" {-second:+.2f} s would do nearly as well." if gain > scan.gain - AS_GOOD else ""
+    if far:
         apart = np.nanmean(images.by_sensor(round(scan.best / STEP)))
         mirrored = bone_images(keypoints, exchanged_sides(bone_imus), poses, skeleton)
         # With alternating sides, half a period later looks like exchanged sides.
         if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor()) - 1e-9):
             why = "image and sensors show different motion at every offset"
-            return Check.unknown(NAME, what, "s", why)
-    second, gain = scan.rival
-    rival = f" {-second:+.2f} s would do nearly as well."
-    rival = rival if gain > scan.gain - AS_GOOD else ""
-    if abs(scan.best) <= LIMIT and rival and abs(second) > LIMIT:
-        text = f"the motion repeats itself: {-second:+.2f} s added to the video's times would do as well"
-        return Check.unknown(NAME, what, "s", text)
-    if abs(scan.best) > LIMIT and scan.gain < SURE:
-        text = (
-            f"the motion repeats itself, is short or slow: {-scan.best:+.2f} s added to the video's "
-            f"times explain it better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
-        )
-        return Check.unknown(NAME, what, "s", text)
+        elif scan.gain < SURE:
+            why = (
+                f"the motion repeats itself, is short or slow: {-scan.best:+.2f} s added to the video's "
+                f"times explain it better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
+            )
+    elif rival and abs(second) > LIMIT:
+        why = f"the motion repeats itself: {-second:+.2f} s added to the video's times would do as well"
+    if why:
+        return Check.unknown(NAME, what, "s", why)
     advice = (
         f"The limbs turn alike when {-scan.best:+.2f} s are added to the video's times (start_s of "
         f"[keypoints]); no offset within {LIMIT:g} s explains the video nearly as well "

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import refocused
-from rtof_kin.calibration.clocks import ClockEstimate, find_video_offset
+from rtof_kin.calibration.clocks import find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -255,7 +255,6 @@ class SecondCamera:
     sigma_position: Array  # (3,) of the second camera's position in world, m
     sigma_turn: Array  # (3,) of its orientation, about the axes of the world, rad
     sigma_focal: Array  # (2,) relative, of the two focal lengths
-    residual: float  # Standard deviation of the joints in the images, relative to the focal length
     doubt: str  # What may be wrong, in a sentence; empty where sure
 
     def apply(self, recording: Recording) -> Recording:
@@ -307,26 +306,19 @@ def estimate_second_camera(
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
     )
-    return _result(found, view, clock)
-
-
-def _result(found: Adjusted, view: KeypointSequence, clock: ClockEstimate) -> SecondCamera:
-    sigma, delay = np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
-    words = (*view.camera.assumed, "pose of the second camera, from the moving person")
-    camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)), uncertainty=None)
-    first = found.cameras[0]
-    if first.uncertainty is not None:
-        left = replace(first.uncertainty, focal=float(sigma[FOCAL][0]))
-        first = replace(first, uncertainty=left)
+    (one, other), sigma, delay = found.cameras, np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
+    words = (*camera.assumed, "pose of the second camera, from the moving person")
+    other = replace(other, assumed=tuple(dict.fromkeys(words)), uncertainty=None)
+    if one.uncertainty is not None:
+        one = replace(one, uncertainty=replace(one.uncertainty, focal=float(sigma[FOCAL][0])))
     return SecondCamera(
-        first=first,
-        view=replace(view, camera=camera).on_clock(view.times + delay),
+        first=one,
+        view=replace(view, camera=other).on_clock(view.times + delay),
         offset=clock.offset + delay,
         sigma_offset=float(sigma[DELAY]),
         sigma_position=sigma[MOVE],
         sigma_turn=sigma[TURN],
         sigma_focal=sigma[FOCAL],
-        residual=found.sigma,
         doubt=clock.doubt or _doubt(found, sigma),
     )
 

@@ -42,45 +42,23 @@ OLD_COMMANDS: Final = {
     "reproduce": "reconstruct, on the recording that export --to archive has put into the file",
 }
 """Command of an earlier version -> what does it now."""
-OLD_OPTIONS: Final = {
-    "run": {
-        "--camera": "the calibration among the FILEs, where it is recognised",
-        "--map": "the map of sensors among the FILEs, where it is recognised",
-        "--discard-video": "--no-keep-video",
-    },
-    "detect": {"--out": "-o"},
-    "simulate": {"--keypoints": "--noise", "--camera": "--viewpoint"},
-    "reconstruct": {"--lifter": "--model", "--recording-output": "--calibrated"},
-    "inspect": {"--out": "-o"},
-    "overlay": {"--from": "--start", "--to": "--stop", "--shift": "--video-shift"},
-    "view": {"--from": "--start", "--to": "--stop", "--second": "--beside", "--rate": "--fps"},
-    "live": {"--out": "--send", "--view": "--browser", "--calibrate": "--refine", "--rate": "--fps"},
-    "gait-reference": {"--speed": "--walking-speed"},
-    "train": {"--camera": "--camera-at", "--start": "--initial"},
-    "evaluate": {"--angles": "--clinical", "--camera": "--uncalibrated"},
-}
-"""Command -> option of an earlier version -> what does it now."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return the exit code. `arguments`: of the command line; default: sys.argv."""
     try:
-        return _run(sys.argv[1:] if arguments is None else arguments)
+        from rtof_kin.cli.terminal import remark
+        from rtof_kin.core.errors import RtofError
+
+        try:
+            return dispatch(sys.argv[1:] if arguments is None else arguments)
+        except RtofError as error:
+            remark(f"error: {error}", "bold red")
+            return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         exec("")  # else Python ends by the signal where it interrupted an exec, as imports have them
         return 130
-
-
-def _run(arguments: list[str]) -> int:
-    from rtof_kin.cli.terminal import err
-    from rtof_kin.core.errors import RtofError
-
-    try:
-        return dispatch(arguments)
-    except RtofError as error:
-        err.print(f"error: {error}", style="bold red", soft_wrap=True)
-        return 2
 
 
 def dispatch(arguments: list[str]) -> int:
@@ -98,7 +76,7 @@ def dispatch(arguments: list[str]) -> int:
     from rtof_kin.core.environment import limit_threads
     from rtof_kin.core.errors import InvalidInputError, RtofError, too_long
 
-    _check_names(arguments)
+    _check_name(arguments)
     if arguments and arguments[0] in LIMITED:
         limit_threads(_threads(arguments))
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
@@ -125,7 +103,7 @@ def check(arguments: list[str]) -> None:
 
     from rtof_kin.core.errors import InvalidInputError
 
-    _check_names(arguments)
+    _check_name(arguments)
     if {"--help", "-h", "--version"} & {*arguments}:
         raise InvalidInputError("asks for help only")
     try:
@@ -186,17 +164,12 @@ def _summary(module: str, function: str) -> str:
     return found[1]
 
 
-def _check_names(arguments: list[str]) -> None:
-    """Raise an error with the present name of what an earlier version called otherwise."""
+def _check_name(arguments: list[str]) -> None:
+    """Raise an error with the present name of a command that an earlier version called otherwise."""
     from rtof_kin.core.errors import InvalidInputError
 
-    name = arguments[0] if arguments else ""
-    if name in OLD_COMMANDS:
-        raise InvalidInputError(f"{name}: is now rtof-kin {OLD_COMMANDS[name]}")
-    for word in arguments[1:]:
-        option = word.partition("=")[0]
-        if option in OLD_OPTIONS.get(name, {}):
-            raise InvalidInputError(f"{name}: {option} is now {OLD_OPTIONS[name][option]}")
+    if arguments and arguments[0] in OLD_COMMANDS:
+        raise InvalidInputError(f"{arguments[0]}: is now rtof-kin {OLD_COMMANDS[arguments[0]]}")
 
 
 def _threads(arguments: list[str]) -> int | None:

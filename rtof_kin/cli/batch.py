@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Output, Overwrite, Workers, command
-from rtof_kin.cli.terminal import STYLES, ended_by_signals, err, job_progress, out
+from rtof_kin.cli.terminal import STYLES, ended_by_signals, err, job_progress, out, remark, say
 from rtof_kin.core.errors import InvalidInputError
 
 
@@ -71,7 +71,7 @@ def batch(
     for verdict in WORST_FIRST:
         if counts[verdict]:
             out.print(f"{counts[verdict]:6} {verdict}", style=STYLES.get(verdict, ""))
-    out.print(f"wrote {output / TABLE} and {output / INDEX_PAGE}", soft_wrap=True)
+    say(f"wrote {output / TABLE} and {output / INDEX_PAGE}")
     if counts[ERROR]:
-        err.print(f"{counts[ERROR]} failed; the same command tries them again", style="bold red", soft_wrap=True)
+        remark(f"{counts[ERROR]} failed; the same command tries them again", style="bold red")
     return 1 if counts[ERROR] else 0

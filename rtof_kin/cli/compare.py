@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -25,9 +22,9 @@ from rtof_kin.cli.options import (
     written,
 )
 from rtof_kin.cli.reconstruction import solver_settings
-from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
+from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress, say
 from rtof_kin.core.choices import Repeated
-from rtof_kin.core.environment import limit_threads
+from rtof_kin.core.environment import limit_threads, without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -169,7 +166,7 @@ def study(
     remove_results(output)
     sensors = len(source.imus.names) if source.imus is not None else 0
     out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
-    with job_progress("study") as update, _quiet():
+    with job_progress("study") as update, without_warnings("rtof_kin"):
         found = study_sensors(
             source,
             greedy=greedy,
@@ -183,19 +180,7 @@ def study(
     print_headline(found.verdict, "all sensors: ")
     written = write_study(found, output, figures)
     show(document(found), out)
-    out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence warnings, which are the same at every run."""
-    logger = logging.getLogger("rtof_kin")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
+    say(f"wrote {', '.join(map(str, written))}")
 
 
 @command
@@ -257,7 +242,7 @@ def gait_reference(
         reference = _from_recordings(source, licence, origin, strides, from_standing)
     _print_reference(reference)
     write_gait_reference(output, reference, overwrite)
-    out.print(f"wrote {output}", soft_wrap=True)
+    say(f"wrote {output}")
 
 
 def _from_recordings(source: Path, licence: str, origin: str, strides: int, from_standing: bool) -> GaitReference:
@@ -269,7 +254,7 @@ def _from_recordings(source: Path, licence: str, origin: str, strides: int, from
 
     found = find_people(source, from_standing)
     for place, reason in found.left_out.items():
-        out.print(f"left out: {place}: {reason}", style="yellow", soft_wrap=True)
+        say(f"left out: {place}: {reason}", style="yellow")
     reference, without = build_reference(
         found.people,
         least_strides=strides,
@@ -280,7 +265,7 @@ def _from_recordings(source: Path, licence: str, origin: str, strides: int, from
         notes=_notes(found.recordings, found.people),
     )
     for code, reason in without.items():
-        out.print(f"left out: {code}: {reason}", style="yellow", soft_wrap=True)
+        say(f"left out: {code}: {reason}", style="yellow")
     return reference
 
 
@@ -304,20 +289,20 @@ def _print_reference(reference: GaitReference) -> None:
     speeds = ""
     if reference.speed_range is not None:
         speeds = " at {:.2f} to {:.2f} m/s".format(*reference.speed_range)
-    out.print(f"reference of {reference.people} people{speeds}: {reference.system}", style="bold", soft_wrap=True)
+    say(f"reference of {reference.people} people{speeds}: {reference.system}", style="bold")
     if reference.people < FEW:
         text = f"caution: fewer than {FEW} people: scores are relative to few"
-        out.print(text, style="yellow", soft_wrap=True)
+        say(text, style="yellow")
     if reference.missing:
         text = f"caution: without {', '.join(reference.missing)}: no GPS and GDI, only single scores"
-        out.print(text, style="yellow", soft_wrap=True)
+        say(text, style="yellow")
     try:
         features = gait_features(reference)
-        out.print(f"GDI: {features.basis.shape[1]} features have 98 % of the variance", soft_wrap=True)
+        say(f"GDI: {features.basis.shape[1]} features have 98 % of the variance")
     except InvalidInputError as error:
-        out.print(f"GDI will not be computed: {error}", soft_wrap=True)
+        say(f"GDI will not be computed: {error}")
     for note in reference.notes:
-        out.print(f"note: {note}", soft_wrap=True)
+        say(f"note: {note}")
 
 
 @command

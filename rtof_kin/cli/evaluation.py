@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Group, Parameter
 
 from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command, written
-from rtof_kin.cli.terminal import job_progress, out, print_scores, with_zero_motion
+from rtof_kin.cli.terminal import job_progress, out, print_scores, say, with_zero_motion
 from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 
@@ -68,11 +68,10 @@ def evaluate_motion(
     metrics, aligned = (measure(p, recording.truth, recording.skeleton) for p in (poses, moved))
     name = mode or "motion"
     print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
-    out.print(
+    say(
         f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
         f"by {math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
-        "By joint below: not aligned.",
-        soft_wrap=True,
+        "By joint below: not aligned."
     )
     print_scores(metrics.per_joint, "joint")
     if clinical or output:
@@ -91,7 +90,7 @@ def _evaluate_angles(motion: Motion, truth: Path | Recording, movement: Movement
         found = against_recording(motion, truth, movement)
     show(found, out)
     if output:
-        out.print("wrote " + ", ".join(map(str, write_results(found, output))), soft_wrap=True)
+        say("wrote " + ", ".join(map(str, write_results(found, output))))
 
 
 def _measure(name: str, root: Path, folder: Path, json: Path | None = None, **how: Any) -> int:
@@ -106,7 +105,7 @@ def _measure(name: str, root: Path, folder: Path, json: Path | None = None, **ho
     with job_progress() as update:
         found = run(name, root, folder, progress=update, json_file=json, **how)
     show(found.document, out)
-    out.print("wrote " + ", ".join(map(str, found.written)), soft_wrap=True)
+    say("wrote " + ", ".join(map(str, found.written)))
     if found.problem:
         raise RtofError(found.problem)
     return int(bool(found.outcome.failed))

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Overwrite, command, written
-from rtof_kin.cli.terminal import out, print_files
+from rtof_kin.cli.terminal import out, print_files, say
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import check_new_file, new_file
 
@@ -49,7 +49,7 @@ def inspect(
     if schema:
         from rtof_kin.recording.tables import SCHEMA
 
-        out.print(SCHEMA, soft_wrap=True)
+        say(SCHEMA)
         return 0
     files = files or []
     if not files:
@@ -112,17 +112,17 @@ def _fix(found: Any, corrected: Any, target: Path) -> None:
         raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
     if corrected is None:
         text = "no sensor is found elsewhere: there is nothing to correct, and nothing was written"
-        out.print(text, soft_wrap=True)
+        say(text)
         return
     corrected.save(target)
     places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
-    out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
+    say(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}")
 
 
 def _print(found: Any, every: bool) -> None:
     from rtof_kin.reporting.document import Badge, Table, show_table
 
-    out.print(f"\n{found.path}: {found.title}", style="bold", soft_wrap=True)
+    say(f"\n{found.path}: {found.title}", style="bold")
     show_table(Table(("content", ""), found.contents, notes=[f"note: {note}" for note in found.notes]), out)
     shown = list(found.checks) if every else _worst(found.checks)
     if shown:
@@ -135,7 +135,7 @@ def _print(found: Any, every: bool) -> None:
     likely = {tuple(check.likely.items()) for check in found.failed if check.likely}
     if likely:
         pairs = sorted({f"{name}={value}" for one in likely for name, value in one})
-        out.print(f"likely: --declare {' '.join(map(shlex.quote, pairs))}", style="bold", soft_wrap=True)
+        say(f"likely: --declare {' '.join(map(shlex.quote, pairs))}", style="bold")
 
 
 def _worst(checks: Any) -> list[Any]:
@@ -171,7 +171,7 @@ def _draw(found: Any, target: Path, overwrite: bool) -> None:
     canvas.FigureCanvasAgg(figure)
     with new_file(target, overwrite) as whole:
         figure.savefig(whole)
-    out.print(f"wrote {target}", soft_wrap=True)
+    say(f"wrote {target}")
 
 
 @command
@@ -226,7 +226,7 @@ def _write_archive(motion: str, path: Path, recording: Path | None, _: bool, ove
     from rtof_kin.reporting.archive import write_result_archive
 
     write_result_archive(path, Path(motion), recording, overwrite)
-    out.print(f"wrote {path}: recording, settings, versions and result, without names and video", soft_wrap=True)
+    say(f"wrote {path}: recording, settings, versions and result, without names and video")
 
 
 def _write_lifter(name: str, path: Path, _: Path | None, flip: bool, overwrite: bool) -> None:
@@ -235,4 +235,4 @@ def _write_lifter(name: str, path: Path, _: Path | None, flip: bool, overwrite: 
     from rtof_kin.core.files.folder import check_new_file
 
     check_new_file(path, overwrite)
-    out.print(f"wrote {export_onnx(Lifter.load(Path(name)), path, flip, overwrite)}", soft_wrap=True)
+    say(f"wrote {export_onnx(Lifter.load(Path(name)), path, flip, overwrite)}")

@@ -6,7 +6,7 @@ import math
 import time
 import webbrowser
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
@@ -21,7 +21,8 @@ from rich.text import Text
 
 from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command, written
 from rtof_kin.cli.record import detector_of
-from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
+from rtof_kin.cli.terminal import ended_by_signals, line, out, print_calibration, remark, say
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.live.online_settings import OnlineSettings
 
@@ -42,8 +43,7 @@ _LATENCY, _MARGIN = (0.2, 0.6), 1.5
 """[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
 _ANGLES: Final = ("hip_flexion", "knee_flexion", "elbow_flexion")
 _FRAMES: Final = 600  # Frames of which the times are summarised
-_MESSAGES: Final = 8
-_TABLE_EVERY, _LINE_EVERY, _ANGLES_EVERY = 0.2, 1.0, 0.5  # [s]
+_TABLE_EVERY, _LINE_EVERY = 0.5, 1.0  # [s]
 _STYLES: Final = {"ok": "green", "waiting": "dim", "late": "yellow", "lossy": "yellow"}
 
 
@@ -126,7 +126,7 @@ def live(
             check_replaceable(output, INDEX)
         known = None if calibration is None else read_self_calibration_toml(calibration)
         lifter: Any = ReconstructionTask(model=model).lifter()
-        with warnings_in_summary("rtof_kin.recording.cameras"):
+        with without_warnings("rtof_kin.recording.cameras"):
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
                 take = replace(take, imus=None, calibration=None)
@@ -146,7 +146,7 @@ def live(
             settings = replace(
                 settings, video_latency_s=_latency(streams.sources[0]), refined=refinement_priors(refine)
             )
-            err.print("preparing the estimator", soft_wrap=True)
+            remark("preparing the estimator")
             estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
             _start(streams.sources)
             recorder = None
@@ -163,8 +163,7 @@ def live(
                 in_background=streams.in_real_time,
             )
             summary = _run(session, display, servers, streams, seconds)
-            _print_summary(summary, output)
-            _finish_calibration(estimator.calibration, summary)
+            _print_summary(summary, estimator.calibration, output)
         finally:
             for source in streams.sources:
                 source.close()
@@ -182,7 +181,7 @@ def _points_of(camera: Source) -> tuple[str, ...]:
     camera.start()
     deadline = time.monotonic() + _LONGEST_WAIT
     if not camera.landmarks:
-        err.print(f"waiting for the points of {camera.name}", soft_wrap=True)
+        remark(f"waiting for the points of {camera.name}")
     while not camera.landmarks:
         if time.monotonic() > deadline:
             raise SourceError(f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first")
@@ -224,7 +223,7 @@ def _served(sinks: list[Sink], setup: Recording, browser: bool) -> list[WebSocke
         servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
         sinks += servers
     for server in servers:
-        err.print(f"{server.url} shows the skeleton in a browser, to who has this address", soft_wrap=True)
+        remark(f"{server.url} shows the skeleton in a browser, to who has this address")
     if browser:
         webbrowser.open(servers[0].url_once)
     return servers
@@ -257,8 +256,10 @@ def _run(
         return session.run(stop, clock=clock, **waits)
 
 
-def _print_summary(summary: SessionSummary, output: Path | None) -> None:
-    """Print what happened, by stream, and what comes next."""
+def _print_summary(summary: SessionSummary, found: SelfCalibration | None, output: Path | None) -> None:
+    """Print what happened, by stream, what comes next and what was refined, which is written beside the recording."""
+    from rtof_kin.calibration.result import write_self_calibration_toml
+
     frames = f"{summary.frames} poses in {summary.seconds:.1f} s"
     if summary.frames:
         frames += f", {summary.frame_ms_p50:.1f} ms each (99 % below {summary.frame_ms_p99:.1f} ms)"
@@ -274,22 +275,15 @@ def _print_summary(summary: SessionSummary, output: Path | None) -> None:
             "recorded",
             f"nothing that is a recording; what came is in {output}, and rtof-kin live --finish {output} tries again",
         )
-
-
-def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:
-    """Print what was refined, and write it beside the recording."""
-    from rtof_kin.calibration.result import write_self_calibration_toml
-
-    if found is None:
-        return
-    print_calibration(found)
-    if summary.folder is not None:
-        write_self_calibration_toml(summary.folder / CALIBRATION, found)
-        out.print(f"wrote {summary.folder / CALIBRATION}", soft_wrap=True)
+    if found is not None:
+        print_calibration(found)
+        if summary.folder is not None:
+            write_self_calibration_toml(summary.folder / CALIBRATION, found)
+            say(f"wrote {summary.folder / CALIBRATION}")
 
 
 class LiveDisplay:
-    """Output of a live session on the console.
+    """Output of a live session on the console: on a terminal a table that is drawn again, else a line a second.
 
     Args:
         now: seconds of the system.
@@ -297,148 +291,83 @@ class LiveDisplay:
 
     def __init__(self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic):
         self._console, self._skeleton, self._now = console, skeleton, now
-        self._last: OnlineEstimate | None = None
-        self._seconds: deque[float] = deque(maxlen=_FRAMES)
-        self._lags: deque[float] = deque(maxlen=_FRAMES)
-        self._said: deque[Text] = deque(maxlen=_MESSAGES)
-        self._told = 0
+        self._recent: deque[OnlineEstimate] = deque(maxlen=_FRAMES)
         self._begun = self._shown = now()
-        self._computed = -math.inf
-        self._known: list[tuple[str, str]] = []
-        self.frames = 0
-        """Estimates so far."""
-        self._live: Live | None = None
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
 
     def __enter__(self) -> Self:
         self._begun = self._shown = self._now()
-        if self._console.is_terminal:
-            self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        if self._live is not None:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # --- sink --------------------------------------------------------------------------------------
-
     def send(self, estimate: OnlineEstimate) -> None:
         """Take an estimate."""
-        self._last = estimate
-        self.frames += 1
-        self._seconds.append(estimate.seconds)
-        self._lags.append(estimate.lag_s)
+        self._recent.append(estimate)
 
     def tell(self, sentence: str) -> None:
-        """Take a message; without a terminal it is printed at once."""
-        if self._live is None:
-            self._console.print(sentence, soft_wrap=True)
-        else:
-            self._told += 1
-            self._said.append(Text(sentence))
+        """Print a message, above the table if there is one."""
+        self._console.print(sentence, soft_wrap=True)
 
     def due(self) -> bool:
         """Return whether it is time to show the present state again."""
         return self._now() - self._shown >= (_LINE_EVERY if self._live is None else _TABLE_EVERY)
 
     def show(self, status: Mapping[str, Any]) -> None:
-        """Show the present state.
-
-        Args:
-            status: of the streams, see `rtof_kin.live.monitor.Monitor.status`.
-        """
+        """Show the present state; `status`: of the streams, see `rtof_kin.live.monitor.Monitor.status`."""
         self._shown = self._now()
+        streams = [*([status["camera"]] if status["camera"] else []), *status["sensors"]]
+        good = sum(one["state"] == "ok" for one in streams)
+        parts = [f"{self._now() - self._begun:6.1f} s", *self._figures(status["rate_hz"])]
+        parts.append(f"{good} of {len(streams)} streams ok")
+        text = "; ".join([", ".join(parts), *self._angles()])
         if self._live is None:
-            self._console.print(self._line(status), soft_wrap=True)
+            self._console.print(text, soft_wrap=True)
         else:
-            self._live.update(self._table(status), refresh=True)
+            self._live.update(Group(_table(streams), Text(f"{text}. Ctrl-C ends", "bold")), refresh=True)
 
     def close(self) -> None:
-        """Leave the last messages on the terminal; may be called twice."""
+        """Take the table away; may be called twice."""
         if self._live is not None:
             self._live.stop()
-            self._live = None
-            if self._told > len(self._said):
-                self._console.print(f"{self._told - len(self._said)} messages before these")
-            for sentence in self._said:
-                self._console.print(sentence, soft_wrap=True)
 
-    # --- content -----------------------------------------------------------------------------------
-
-    def _figures(self, rate: float | None) -> str:
-        """Return rate, lag and time of a frame in words."""
-        if not self._seconds:
-            return "no estimate yet"
-        p50, p99 = 1000 * np.percentile(self._seconds, [50, 99])
+    def _figures(self, rate: float | None) -> list[str]:
+        """Rate, lag and time of a frame in words."""
+        if not self._recent:
+            return ["no estimate yet"]
+        p50, p99 = 1000 * np.percentile([one.seconds for one in self._recent], [50, 99])
+        lag = 1000 * np.median([one.lag_s for one in self._recent])
         parts = [] if rate is None else [f"{rate:.0f} Hz"]
-        parts += [f"lag {1000 * np.median(self._lags):.0f} ms", f"frame {p50:.1f} ms (p99 {p99:.1f})"]
-        return ", ".join(parts)
+        return [*parts, f"lag {lag:.0f} ms", f"frame {p50:.1f} ms (p99 {p99:.1f})"]
 
-    def _line(self, status: Mapping[str, Any]) -> str:
-        streams = [*status["sensors"], *([status["camera"]] if status["camera"] else [])]
-        good = sum(one["state"] == "ok" for one in streams)
-        angles = "; ".join(f"{name} {text}" for name, text in self._angles())
-        parts = [
-            f"{self._now() - self._begun:6.1f} s",
-            self._figures(status["rate_hz"]),
-            f"{good} of {len(streams)} streams ok",
-        ]
-        return ", ".join(parts) + (f"; {angles} deg" if angles else "")
+    def _angles(self) -> Iterator[str]:
+        """Names and values of the shown angles that are known."""
+        from rtof_kin.clinical.angles import clinical_angles
 
-    def _table(self, status: Mapping[str, Any]) -> Group:
-        streams = Table(
-            "stream",
-            Column("state", no_wrap=True),
-            Column("rate\n[Hz]", justify="right"),
-            Column("loss\n[%]", justify="right"),
-            Column("late\n[ms]", justify="right"),
-            "says",
-            box=SIMPLE_HEAD,
-            pad_edge=False,
-        )
-        for one in (*([status["camera"]] if status["camera"] else []), *status["sensors"]):
-            state = str(one["state"])
-            streams.add_row(
-                Text(str(one["name"])),
-                Text(state, _STYLES.get(state, "bold red")),
-                *(_number(one[key]) for key in ("rate_hz", "loss_percent", "latency_ms")),
-                Text("" if state == "ok" else str(one["sentence"])),
-            )
-        angles = Table(
-            Column("angle [deg]"),
-            Column("left", justify="right"),
-            Column("right", justify="right"),
-            box=SIMPLE_HEAD,
-            pad_edge=False,
-        )
-        found = dict(self._angles())
-        for name in _ANGLES:
-            what = name.replace("_", " ")
-            angles.add_row(what, found.get(f"left {what}", ""), found.get(f"right {what}", ""))
-        figures = self._figures(status["rate_hz"])
-        head = Text(f"{self._now() - self._begun:.0f} s   {figures}   end with Ctrl-C", "bold")
-        return Group(head, streams, angles, *self._said)
-
-    def _angles(self) -> list[tuple[str, str]]:
-        """Names and values in degrees of the shown angles that are known."""
-        if self._last is None or self._now() - self._computed < _ANGLES_EVERY:
-            return self._known
-        self._computed = self._now()
+        if not self._recent:
+            return
         try:
-            from rtof_kin.clinical.angles import clinical_angles
-
-            angles = clinical_angles(self._last.poses, self._skeleton)
+            angles = clinical_angles(self._recent[-1].poses, self._skeleton)
         except RtofError:  # the skeleton has no clinical angles
-            return []
-        wanted = [f"{side}_{name}" for name in _ANGLES for side in ("left", "right")]
-        names = [name for name in wanted if name in angles.names]
-        values = angles.select(names).values[0]
-        self._known = [
-            (name.replace("_", " "), f"{np.degrees(value):.0f}")
-            for name, value in zip(names, values, strict=True)
-            if math.isfinite(value)
-        ]
-        return self._known
+            return
+        for name in (f"{side}_{angle}" for angle in _ANGLES for side in ("left", "right")):
+            if name in angles.names and math.isfinite(value := float(angles.select([name]).values[0, 0])):
+                yield f"{name.replace('_', ' ')} {np.degrees(value):.0f} deg"
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None or not math.isfinite(value) else f"{value:.0f}"
+def _table(streams: Sequence[Mapping[str, Any]]) -> Table:
+    """State of each stream."""
+    heads = (Column(head, justify="right") for head in ("rate\n[Hz]", "loss\n[%]", "late\n[ms]"))
+    table = Table("stream", Column("state", no_wrap=True), *heads, "says", box=SIMPLE_HEAD, pad_edge=False)
+    for one in streams:
+        state, figures = str(one["state"]), (one[key] for key in ("rate_hz", "loss_percent", "latency_ms"))
+        table.add_row(
+            Text(str(one["name"])),
+            Text(state, _STYLES.get(state, "bold red")),
+            *("" if value is None or not math.isfinite(value) else f"{value:.0f}" for value in figures),
+            Text("" if state == "ok" else str(one["sentence"])),
+        )
+    return table

@@ -9,17 +9,16 @@ from cyclopts import Parameter
 
 from rtof_kin.cli.options import SOLVER, Fields, Overwrite, Paper, Threads, command, written
 from rtof_kin.cli.terminal import (
-    out,
     print_calibration,
     print_headline,
     print_scores,
     print_sections,
     print_summary,
     progress,
-    warnings_in_summary,
+    say,
     with_zero_motion,
 )
-from rtof_kin.core.environment import limit_threads
+from rtof_kin.core.environment import limit_threads, without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -106,20 +105,20 @@ def reconstruct_and_print(
     from rtof_kin.reporting.audit_results import headline
     from rtof_kin.setup.run import reconstruct_folder
 
-    with progress() as update, warnings_in_summary():
+    with progress() as update, without_warnings():
         found = reconstruct_folder(recording, output, overwrite, task=task, settings=settings, progress=update)
     verdict = headline(audit(found))
     print_summary(found, verdict, output)
     print_sections(verdict)
     shares = {k: v for k, v in found.provenance_shares.items() if v > 0}
     by = ", ".join(f"{k.replace('_', ' ').replace('imu', 'IMU')} {100 * v:.1f} %" for k, v in shares.items())
-    out.print(f"joints observed by: {by}", soft_wrap=True)
+    say(f"joints observed by: {by}")
     calibration = found.first.calibration
     if calibration is not None and verbose:
         print_calibration(calibration)
     elif calibration is not None:
         count = len(calibration.quantities)
-        out.print(f"self-calibration: {count} quantities; --verbose prints them", soft_wrap=True)
+        say(f"self-calibration: {count} quantities; --verbose prints them")
     return found
 
 
@@ -148,7 +147,7 @@ def _calibrate(
     print_headline(headline((*doubts, *calibration_results(found))))
     print_calibration(found)
     write_self_calibration_toml(output, found, overwrite)
-    out.print(f"wrote {output}", soft_wrap=True)
+    say(f"wrote {output}")
     if calibrated is not None:
         found.apply(recording).save(calibrated, overwrite)
-        out.print(f"wrote {calibrated}", soft_wrap=True)
+        say(f"wrote {calibrated}")

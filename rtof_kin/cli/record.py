@@ -26,17 +26,8 @@ from rtof_kin.cli.options import (
     written,
 )
 from rtof_kin.cli.reconstruction import reconstruct_and_print, solver_settings
-from rtof_kin.cli.terminal import (
-    accuracy,
-    err,
-    line,
-    out,
-    print_scores,
-    progress,
-    warnings_in_summary,
-    with_zero_motion,
-)
-from rtof_kin.core.environment import limit_threads
+from rtof_kin.cli.terminal import accuracy, line, out, print_scores, progress, remark, say, with_zero_motion
+from rtof_kin.core.environment import RESULT_WARNINGS, limit_threads, without_warnings
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -117,7 +108,7 @@ def run(
     began = time.monotonic()
     if only:
         setup = replace(setup, lifter=task.lifter())
-        with progress() as update, warnings_in_summary(_OF_KEYPOINTS):
+        with progress() as update, without_warnings(_OF_KEYPOINTS):
             found = make_recording(
                 files,
                 output,
@@ -130,10 +121,10 @@ def run(
                 progress=update,
             )
         _print_findings(found)
-        out.print(f"wrote {output}: correct recording.toml where it says so, then", soft_wrap=True)
-        out.print(f"  rtof-kin reconstruct {output} -o OUT", soft_wrap=True)
+        say(f"wrote {output}: correct recording.toml where it says so, then")
+        say(f"  rtof-kin reconstruct {output} -o OUT")
         return
-    with progress() as update, warnings_in_summary(), warnings_in_summary(_OF_KEYPOINTS):
+    with progress() as update, without_warnings(RESULT_WARNINGS, _OF_KEYPOINTS):
         done = run_steps(
             files,
             output,
@@ -173,18 +164,18 @@ def _demo(
         out.print(f"wrote {output}: what a phone and sensors would have written of the demo. Next:")
         names = f"{output}/keypoints.csv {output}/dots {output}/places.csv"
         height = recording.skeleton.height
-        out.print(f"  rtof-kin run {names} --size 1920x1080 --height {height:.2f} -o OUT", soft_wrap=True)
+        say(f"  rtof-kin run {names} --size 1920x1080 --height {height:.2f} -o OUT")
         return
     result = reconstruct_and_print(recording, output, replace(task, mode="rtof"), settings, overwrite)
-    with progress() as update, warnings_in_summary():
+    with progress() as update, without_warnings():
         image_only = reconstruct(recording, mode="rto", lifter=task.lifter(), settings=settings, progress=update)
     vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
     print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
-    out.print(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim", soft_wrap=True)
+    say(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim")
 
 
 def _kept(step: str) -> None:
-    err.print(f"{step}: its inputs are the same; kept", soft_wrap=True)
+    remark(f"{step}: its inputs are the same; kept")
 
 
 def _print_findings(found: Findings) -> None:
@@ -225,13 +216,13 @@ def detector_of(model_dir: Path | None, fetch: str | None, update: Progress | No
         raise InvalidInputError("--model-dir, --fetch-models: give one of them")
     if fetch is not None:
         wanted = model_set(fetch)
-        out.print(f"{wanted.title}. Licence: {wanted.licence}", soft_wrap=True)
+        say(f"{wanted.title}. Licence: {wanted.licence}")
         with progress() if update is None else nullcontext(update) as shown:
             model_dir = fetch_models(wanted, shown)
         for file in wanted.files:
-            out.print(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published", soft_wrap=True)
+            say(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published")
     detector = choose_detector(model_dir)
-    out.print(f"detector: {detector.name}", soft_wrap=True)
+    say(f"detector: {detector.name}")
     return detector
 
 
@@ -284,20 +275,19 @@ def detect(
         found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
     write_detections(output, found, overwrite)
     present = found.present
-    out.print(
+    say(
         f"wrote {output}: {len(found)} frames of up to {present.shape[1]} people, "
-        f"{int(present.any(axis=1).sum())} frames with at least one",
-        soft_wrap=True,
+        f"{int(present.any(axis=1).sum())} frames with at least one"
     )
     if camera_motion is not None:
         _write_camera_motion(video, found, camera_motion, phone_log, overwrite)
     try:
         layout = recognise(found.uv_px, found.confidence).layout
     except InvalidInputError as error:
-        out.print(f"their layout is not recognised: {error}", soft_wrap=True)
+        say(f"their layout is not recognised: {error}")
         return
     text = f'[keypoints]\nfile = "{output.name}"\nlayout = "{layout.name}"'
-    out.print(f"{layout.title}; in recording.toml:\n{text}", soft_wrap=True)
+    say(f"{layout.title}; in recording.toml:\n{text}")
 
 
 def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
@@ -313,12 +303,12 @@ def _write_camera_motion(video: str, found: Detections, target: Path, phone: Pat
     with progress() as update:
         turned = rotation_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
     write_camera_motion(target, turned.motion, overwrite)
-    out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
+    say(f"wrote {target}: {turned.summary}")
     if turned.turning().passed:
         out.print("it stood still: [camera.motion] is not needed")
     else:
         focal = f"focal_px = {turned.camera.K[0, 0]:.0f}"
-        out.print(f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"', soft_wrap=True)
+        say(f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"')
 
 
 @command
@@ -364,8 +354,7 @@ def simulate(
     )
     recording.save(output, overwrite=overwrite)
     times, seen = recording.video.times, recording.video.seen.any(axis=1).mean()
-    out.print(
+    say(
         f"wrote {output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, the person is visible "
-        f"in {100 * seen:.0f} % of them",
-        soft_wrap=True,
+        f"in {100 * seen:.0f} % of them"
     )

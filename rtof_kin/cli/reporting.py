@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Fields, Figures, Overwrite, command, written
-from rtof_kin.cli.terminal import out, print_files
+from rtof_kin.cli.terminal import out, print_files, say
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.settings import AnalysisSettings
@@ -64,7 +64,7 @@ def report(
         check_replaceable(tables, MARKER, overwrite)
     if path is not None:
         write_text(path, page(folder, session, analysis.weight_kg, analysis.sex), overwrite)
-        out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
+        say(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser")
     documents = []
     if gait_reference is not None:
         documents.append(score_motion(motion, gait_reference, analysis.from_standing))

@@ -137,21 +137,17 @@ def _leave_terminal() -> None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
 
 
-@contextmanager
-def warnings_in_summary(logger: str = "rtof_kin.reconstruction.pipeline.warnings") -> Iterator[None]:
-    """Silence log messages that the printed summary repeats.
-
-    `logger`: its name; by default `rtof_kin.reconstruction.pipeline.WARNINGS_LOGGER`.
-    """
-    silent = logging.getLogger(logger)
-    silent.disabled = True
-    try:
-        yield
-    finally:
-        silent.disabled = False
-
-
 # --- what is printed -----------------------------------------------------------------------------
+
+
+def say(text: object, style: str | None = None) -> None:
+    """Print a sentence in one line, however wide the terminal is."""
+    out.print(text, style=style, soft_wrap=True)
+
+
+def remark(text: object, style: str | None = None) -> None:
+    """Print a sentence on the error stream in one line."""
+    err.print(text, style=style, soft_wrap=True)
 
 
 def line(name: str, text: str, style: str = "") -> None:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rtof_kin.cli.options import Fields, Overwrite, command, written
-from rtof_kin.cli.terminal import err, out
+from rtof_kin.cli.terminal import err, remark, say
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -90,11 +90,11 @@ def train(
         except KeyboardInterrupt:
             if _first():
                 where = f"{output}.state; curves so far: {figure_file(output)}"
-                err.print(f"--resume continues from {where}", soft_wrap=True)
+                remark(f"--resume continues from {where}")
             raise
     if _first():
-        out.print(f"wrote {path}", soft_wrap=True)
-        out.print(f"curves: {figure_file(path)}", soft_wrap=True)
+        say(f"wrote {path}")
+        say(f"curves: {figure_file(path)}")
 
 
 def _first() -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Browser, Fields, File, Fps, Overwrite, Start, Stop, command
-from rtof_kin.cli.terminal import STYLES, err, line, out, progress
+from rtof_kin.cli.terminal import STYLES, line, progress, remark, say
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.view.overlay_settings import OverlaySettings
 
@@ -88,10 +88,9 @@ def view(
             progress=update,
         )
     thinned = f", thinned out to stay below {limit:g} MB" if page.thinned else ""
-    out.print(
+    say(
         f"wrote {page.path}: {page.size_mb:.1f} MB, {page.frames} frames at {page.rate_hz:.3g} Hz{thinned}; "
-        "opens in any browser without a network",
-        soft_wrap=True,
+        "opens in any browser without a network"
     )
 
 
@@ -173,18 +172,14 @@ def overlay(
             motion, output, video, view=view, settings=settings, overwrite=overwrite, progress=update
         )
     for note in result.notes:
-        err.print(f"warning: {note}", style="yellow", soft_wrap=True)
+        remark(f"warning: {note}", style="yellow")
     size = Path(result.path).stat().st_size / 1e6
-    out.print(
+    say(
         f"wrote {result.path}: {result.frames} pictures of {result.width_px} x {result.height_px} px, "
-        f"{size:.1f} MB, {result.encoder}; no sound, no metadata of the video",
-        soft_wrap=True,
+        f"{size:.1f} MB, {result.encoder}; no sound, no metadata of the video"
     )
     if result.without_motion:
-        out.print(
-            f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are outside the motion",
-            soft_wrap=True,
-        )
-    out.print(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""), soft_wrap=True)
+        say(f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are outside the motion")
+    say(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""))
     if video is not None and settings.blur_face:
-        out.print(f"faces: {_OTHERS}; look at the whole film before you pass it on", soft_wrap=True)
+        say(f"faces: {_OTHERS}; look at the whole film before you pass it on")

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import logging
 import os
 import platform
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,6 +22,24 @@ from rtof_kin.core.errors import InvalidInputError
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 USUAL = 1  #: Default number of threads
+
+
+RESULT_WARNINGS: Final = "rtof_kin.reconstruction.pipeline.warnings"
+"""Logger of failed checks, stream faults and warnings of a reconstruction, which its audit and summary list too."""
+
+
+@contextmanager
+def without_warnings(*loggers: str) -> Iterator[None]:
+    """Silence warnings of loggers and of those below them, by default of `RESULT_WARNINGS`."""
+    silent = [logging.getLogger(name) for name in loggers or (RESULT_WARNINGS,)]
+    before = [logger.level for logger in silent]
+    try:
+        for logger in silent:
+            logger.setLevel(logging.ERROR)
+        yield
+    finally:
+        for logger, level in zip(silent, before, strict=True):
+            logger.setLevel(level)
 
 
 def threads() -> int | None:

@@ -185,13 +185,15 @@ def calibrate_by_pose(
     if headings == "shared" and world_facing is None and named:
         # The world is the sensors' own reference: turn the person instead.
         faces, angles, R_pose = faces - angles[0], 0 * angles, so3.about_axis("z", -angles[0]) @ R_pose
-    pose_deg = _NAMED_POSE_DEG if named else _MEASURED_POSE_DEG
+    pose_deg, sigmas_deg = _NAMED_POSE_DEG if named else _MEASURED_POSE_DEG, np.degrees(found.sigmas)
+    expected = np.sqrt(samples.spreads_deg**2 + sigmas_deg**2 + pose_deg**2)
+    columns = samples.spreads_deg.tolist(), sigmas_deg.tolist(), expected.tolist()
     return PoseCalibration(
         calibration=samples.aligned(angles, R_pose),
         pose=str(pose) if named else "measured",
         still=samples.still,
         facing=float(wrapped(faces)),
-        sensors=samples.reports(np.degrees(found.sigmas), pose_deg),
+        sensors=tuple(map(SensorReport, joints, samples.joints, *columns)),
         heading_margin=found.margin if facing is None else None,
     )
 
@@ -274,14 +276,6 @@ class _PoseSamples:
         R_sensor_bone = np.swapaxes(R_world_sensor, -1, -2) @ R_pose
         sensors = tuple(stream.name for stream in self.streams)
         return ImuCalibration(sensors, self.joints, R_world_inertial, R_sensor_bone, self.levers)
-
-    def reports(self, heading_sigmas_deg: Array, pose_deg: float) -> tuple[SensorReport, ...]:
-        expected = np.sqrt(self.spreads_deg**2 + heading_sigmas_deg**2 + pose_deg**2)
-        rows = np.stack([self.spreads_deg, heading_sigmas_deg, expected], axis=-1).tolist()
-        return tuple(
-            SensorReport(stream.name, joint, *row)
-            for stream, joint, row in zip(self.streams, self.joints, rows, strict=True)
-        )
 
 
 def _hold(

@@ -22,12 +22,13 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.jobs import JobResult, run_jobs
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.reconstruction.settings import ReconstructionSettings

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -44,8 +44,7 @@ _SHORTEST = 0.15  # [s] of a contact
 _CUTOFF_HZ = 5.0  # [Hz] Low-pass of the ankle in the image
 
 
-@dataclass(frozen=True)
-class Usual:
+class Usual(NamedTuple):
     """Mean and standard deviation of a quantity with the true camera."""
 
     mean: float
@@ -124,13 +123,10 @@ def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Height of standing ankles and its slopes: of the mean, in depth and across."""
     p = poses.p_world_joint[:, scene.skeleton.index(*scene.contacts.joints)][scene.contacts.standing]
     plane = None if scene.floor_height is None else floor_plane(camera, p, scene.floor_height)
-    if plane is None:
-        return Evidence(np.full(3, np.nan), np.ones(3))
-    return plane.evidence
+    return Evidence(np.full(3, np.nan), np.ones(3)) if plane is None else plane.evidence
 
 
-@dataclass(frozen=True)
-class FloorPlane:
+class FloorPlane(NamedTuple):
     """Plane through the ankles of standing feet."""
 
     evidence: Evidence  # (3,) height of the mean over that of a standing ankle, slopes in depth and across
@@ -245,35 +241,24 @@ _SIGMA_MEAN: Final = np.radians(3.0)  # of a mean over that, by realistic 2D of 
 _SIGMA_WALK: Final = np.radians(0.1)  # [rad/s^0.5] of the random walk
 
 
-@dataclass(frozen=True)
-class HeadingDrift:
-    """Heading of a camera as the sensors show it, relative to its mean."""
-
-    times: Array  # (T,) s
-    angle: Array  # (T,) rad about the vertical, by which what the camera sees has to be turned
-    sigma: Array  # (T,) its standard deviation, rad
-
-    def removed(self, keypoints: KeypointSequence) -> KeypointSequence:
-        """Return the keypoints without the drift."""
-        R = keypoints.camera.R_camera_world
-        return turned(keypoints, R @ so3.about_axis("z", self.angle) @ R.T, keypoints.camera.undistorted())
-
-
 def without_heading_drift(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> KeypointSequence:
     """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for; None: shipped lifter."""
-    found = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, keypoints.camera.heading_drift)
-    first, last = np.degrees(found.angle[[0, -1]])
-    _log.info(
-        "the heading of the camera drifted by %.1f +- %.1f deg against the sensors; it is removed",
-        last - first,
-        np.degrees(np.hypot(*found.sigma[[0, -1]])),
-    )
-    return found.removed(keypoints)
+    camera = keypoints.camera
+    angle, sigma = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, camera.heading_drift)
+    text = "the heading of the camera drifted by %.1f +- %.1f deg against the sensors; it is removed"
+    _log.info(text, *np.degrees([angle[-1] - angle[0], np.hypot(*sigma[[0, -1]])]))
+    return heading_turned(keypoints, angle)
 
 
-def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: float) -> HeadingDrift:
+def heading_turned(keypoints: KeypointSequence, angle: Array) -> KeypointSequence:
+    """Return keypoints turned about the vertical by angles (T,), rad."""
+    R = keypoints.camera.R_camera_world
+    return turned(keypoints, R @ so3.about_axis("z", angle) @ R.T, keypoints.camera.undistorted())
+
+
+def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: float) -> tuple[Array, Array]:
     """Estimate the drift of a camera's heading.
 
     A phone knows its camera's tilt from gravity, but its heading drifts (that of the background's keyframes hardly
@@ -285,6 +270,10 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
     Args:
         poses: lifted from the image alone, in the world of the camera that stands still.
         sigma_rate: standard deviation of a steady drift, rad/s.
+
+    Returns:
+        Angles (T,) about the vertical by which what the camera sees has to be turned, relative to their mean, and their
+        standard deviations (T,), rad.
 
     Raises:
         InvalidInputError: other times, or no segment is seen by both.
@@ -310,4 +299,4 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
     gain = np.linalg.solve(prior + _SIGMA_MEAN**2 * np.eye(len(at)), prior).T
     variance = np.diag(prior - gain @ prior)
     angle, sigma = gain @ (centre @ heading), np.sqrt(np.maximum(variance, 0.0))
-    return HeadingDrift(poses.times, np.interp(poses.times, at, angle), np.interp(poses.times, at, sigma))
+    return np.interp(poses.times, at, angle), np.interp(poses.times, at, sigma)

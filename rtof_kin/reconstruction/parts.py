@@ -116,7 +116,7 @@ def reconstruct_in_parts(
         yield run(job, mode, setup)
         return
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
-    times = _frame_times(source, mode, settings)
+    times = _frame_times(source, mode)
     rate_hz = float(1 / np.median(np.diff(times)))
     parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
@@ -146,7 +146,7 @@ def reconstruct_in_parts(
     report("parts", len(parts), len(parts))
 
 
-def _frame_times(source: RecordingSource, mode: Mode, settings: ReconstructionSettings) -> Array:
+def _frame_times(source: RecordingSource, mode: Mode) -> Array:
     """(T,) s of all frames, evenly spaced."""
     if mode != "imu":
         if source.frame_times is None:
@@ -155,7 +155,7 @@ def _frame_times(source: RecordingSource, mode: Mode, settings: ReconstructionSe
     first, last = (_between(source, np.array([end])).imus for end in (source.start_s, source.stop_s))
     if first is None or last is None:
         raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
-    return frame_times(first, settings.sensors_alone.rate_hz, float(last.times[-1]))
+    return frame_times(first, stop=float(last.times[-1]))
 
 
 def _between(source: RecordingSource, times: Array) -> Recording:

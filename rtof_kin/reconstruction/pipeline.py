@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -14,38 +14,23 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
-from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.environment import RESULT_WARNINGS
+from rtof_kin.core.errors import RtofError
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction import checks
 from rtof_kin.reconstruction.checks.position import PositionErrors
-from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Job, Prepared, Progress, cleaned
+from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
-from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import SetupEstimate, find_camera, with_camera
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 from rtof_kin.solve.uncertainty import leg_misfit
-
-WARNINGS_LOGGER = f"{__name__}.warnings"
-"""Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
-
-
-@contextmanager
-def without_warnings() -> Iterator[None]:
-    """Silence the warnings of `WARNINGS_LOGGER`, where many versions of one recording are reconstructed."""
-    logger = logging.getLogger(WARNINGS_LOGGER)
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
 
 
 def reconstruct(
@@ -127,25 +112,60 @@ def explaining(job: Job) -> Iterator[None]:
 def run(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     """Solve the motion of a recording that was set up; see `reconstruct` for errors."""
     with explaining(job):
-        return _from_sensors(job) if mode == "imu" else _from_video(job, mode, setup)
+        found = reconstruct_from_sensors(job) if mode == "imu" else _from_video(job, mode, setup)
+    failed = (check.message for check in found.checks if check.failed)
+    for sentence in (*failed, *found.faults, *found.warnings):
+        logging.getLogger(RESULT_WARNINGS).warning("%s: %s", job.recording.name, sentence)
+    return found
 
 
 def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
-    """Every mode but imu."""
+    """Solve every mode but imu, and check the motion against the recording."""
     clocks, camera, calibration = setup.clocks, setup.camera, setup.calibration
-    job = setup.corrected(job)
-    own = job.calibrated(calibration)
-    prepared, poses, solution = _optimised(own, mode, calibration, clocks.left_out(own))
+    declared = setup.corrected(job)
+    job = declared.calibrated(calibration)
+    prepared, poses, solution = _optimised(job, mode, calibration, clocks.left_out(job))
+    skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
     others = list[PoseSequence]()
     if solution is not None and solution.confidence is not None:
         others += clocks.apart(poses) if job.sensed(mode) else ()
         for other in camera.deviations() if camera is not None else ():
-            one = with_camera(own.recording, other)
-            others.append(own.solved_again(one, mode, prepared.rejected, calibration)[1])
-    result = _result(job, own, mode, prepared, poses, solution, setup, others)
+            one = with_camera(recording, other)
+            others.append(job.solved_again(one, mode, prepared.rejected, calibration)[1])
+    warnings = (*setup.warnings, *quality_warnings(prepared, solution, settings))
+    disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
+    suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
+    motion = skeleton.motion(poses)
+    legs = None if solution is None else leg_misfit(prepared.recording.video, motion)
+    found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
+    if settings.checks:
+        found, position = checks.run(
+            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=clocks.checks, legs=legs
+        )
+    motion, position = with_covariances(motion, prepared, solution, others, position, legs)
+    stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
+    scores = stage_metrics(stages, recording.truth, skeleton, mode)
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
-    return replace(result, camera=camera, calibration=calibration, delay=clocks.delay)
+    return Reconstruction(
+        recording,
+        mode,
+        motion,
+        stages,
+        prepared.recording.video,
+        prepared.bone_imus,
+        solution,
+        scores.get(mode),
+        scores,
+        faults=prepared.faults,
+        warnings=warnings,
+        calibration=calibration,
+        delay=clocks.delay,
+        camera=camera,
+        checks=found,
+        choices=replace(setup.choices, settings=settings if solution is not None else settings.with_fragment(None)),
+        position_errors=position,
+    )
 
 
 def _optimised(
@@ -164,60 +184,6 @@ def _optimised(
     return prepared, solution.poses, solution
 
 
-def _result(
-    declared: Job,
-    job: Job,
-    mode: Mode,
-    prepared: Prepared,
-    poses: PoseSequence,
-    solution: FragmentSolution | None,
-    setup: SetupEstimate,
-    others: Iterable[PoseSequence],
-) -> Reconstruction:
-    """Check the motion against the recording, which `declared` has before its calibration, and collect the result."""
-    skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
-    warnings = (*setup.warnings, *quality_warnings(prepared, solution, settings))
-    disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
-    suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
-    motion = skeleton.motion(poses)
-    legs = None if solution is None else leg_misfit(prepared.recording.video, motion)
-    found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
-    if settings.checks:
-        found, position = checks.run(
-            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=setup.clocks.checks, legs=legs
-        )
-    _warn(recording, (*_failed(found), *prepared.faults, *warnings))
-    motion, position = with_covariances(motion, prepared, solution, others, position, legs)
-    stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
-    scores = stage_metrics(stages, recording.truth, skeleton, mode)
-    unused = mode in ("lift", "sf2")
-    return Reconstruction(
-        recording,
-        mode,
-        motion,
-        stages,
-        prepared.recording.video,
-        prepared.bone_imus,
-        solution,
-        scores.get(mode),
-        scores,
-        faults=prepared.faults,
-        warnings=warnings,
-        checks=found,
-        choices=replace(setup.choices, settings=settings.with_fragment(None) if unused else settings),
-        position_errors=position,
-    )
-
-
-def _failed(checks: Iterable[Check]) -> Iterable[str]:
-    return (check.message for check in checks if check.failed)
-
-
-def _warn(recording: Recording, sentences: Iterable[object]) -> None:
-    for sentence in sentences:
-        logging.getLogger(WARNINGS_LOGGER).warning("%s: %s", recording.name, sentence)
-
-
 def calibrate_camera(
     recording: Recording, *, lifter: LifterLike | None = None, progress: Progress | None = None
 ) -> CameraEstimate:
@@ -229,45 +195,3 @@ def calibrate_camera(
     job = Job.of(recording, None, lifter, None, progress)
     with explaining(job):
         return find_camera(job, "lift")
-
-
-def _from_sensors(job: Job) -> Reconstruction:
-    """Mode imu."""
-    settings, skeleton = job.settings, job.subject
-    if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):
-        raise InvalidInputError("mode imu is solved in joint space; leave out the other space and its settings")
-    solver = settings.fragment or replace(settings, space="joint").solver(skeleton)
-    assert isinstance(solver, JointSpaceSettings)
-    settings = settings.with_fragment(solver)
-    recording, faults = cleaned(job.recording, settings, camera=False)
-    found = reconstruct_from_sensors(
-        recording,
-        skeleton,
-        settings.sensors_alone,
-        solver,
-        settings.frames,
-        settings.sensor_joints,
-        lambda done, total: job.progress("imu", done, total),
-        job.times,
-    )
-    wrong = check_sensor_form(job.recording) if settings.checks else ()
-    _warn(recording, (*_failed(wrong), *faults, *found.warnings))
-    motion = skeleton.motion(found.solution.poses)
-    stages = {"start": found.start, "imu": motion.poses}
-    scores = stage_metrics(stages, recording.truth, skeleton, "imu")
-    return Reconstruction(
-        job.recording,
-        "imu",
-        motion,
-        stages,
-        None,
-        found.bone_imus,
-        found.solution,
-        scores.get("imu"),
-        scores,
-        found.path.sigma,
-        faults,
-        found.warnings,
-        checks=wrong,
-        choices=Choices(settings=settings),
-    )

@@ -109,7 +109,7 @@ class Job:
             lifts.append(lift(seen, skeleton, self.lifter, sensors, recording.floor_height))
         self.progress("lift", len(cameras), len(cameras))
         lifted = fused(lifts, cameras, skeleton)
-        stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
+        stages, start = _refined(lifted, skeleton, mode, bone_imus)
         return Prepared(recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected)
 
     def calibrated(self, calibration: SelfCalibration | None) -> Job:
@@ -207,23 +207,18 @@ class Prepared:
         """Return the same with further intervals of sensors rejected, by segment; SF2 runs again on the same lift."""
         assert self.bone_imus is not None
         bone_imus = mask_faults(self.bone_imus, wrong)
-        stages, start = _refined(self.lifted, self.skeleton, "rtof", bone_imus, self.settings)
+        stages, start = _refined(self.lifted, self.skeleton, "rtof", bone_imus)
         rejected = merge_faults((*self.rejected, *wrong))
         return replace(self, bone_imus=bone_imus, stages=stages, start=start, rejected=rejected)
 
 
 def _refined(
-    lifted: Lifted,
-    skeleton: SkeletonModel,
-    mode: Mode,
-    bone_imus: BoneImuSequence | None,
-    settings: ReconstructionSettings,
+    lifted: Lifted, skeleton: SkeletonModel, mode: Mode, bone_imus: BoneImuSequence | None
 ) -> tuple[dict[str, PoseSequence], PoseSequence]:
     """Poses by stage, and those that the solver starts from."""
     stages = {"lift": lifted.poses}
     if bone_imus is not None:
-        ik = InertialGuidedIK(skeleton, settings.inertial_ik)
-        stages["sf2"] = ik.refine(lifted.poses, bone_imus, lifted.R_world_bone)
+        stages["sf2"] = InertialGuidedIK(skeleton).refine(lifted.poses, bone_imus, lifted.R_world_bone)
     elif mode == "rto":
         return stages, InertialGuidedIK(skeleton).refine(lifted.poses, None, lifted.R_world_bone)
     return stages, stages.get("sf2", lifted.poses)

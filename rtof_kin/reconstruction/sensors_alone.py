@@ -7,82 +7,53 @@ the calibration and the first frame; both drift.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.imu import BoneImuSequence, ImuSequence
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import Contacts, RootPath, contact_points, detect_contacts, root_path
-from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.settings import JointSpaceSettings
+from rtof_kin.reconstruction.checks.sensors import check_sensor_form
+from rtof_kin.reconstruction.prepare import Job, cleaned
+from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 _LOW = 0.75  # Fraction of the standing root height below which a person sits, kneels or lies
 _LONG = 1.0  # [s] of that, or without contact, that causes a warning
 
 
-@dataclass(frozen=True)
-class SensorsAloneSettings:
-    """Settings of the frames."""
-
-    rate_hz: float = 60.0
-    """[Hz] Frame rate; the sensors' rate where that is lower."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.rate_hz < np.inf:
-            raise InvalidInputError("rate_hz must be positive and finite")
+RATE_HZ: Final = 60.0  #: [Hz] Frame rate; the sensors' rate where that is lower
 
 
-@dataclass(frozen=True)
-class SensorsAlone:
-    """A motion from sensors alone, with its contacts and root path."""
-
-    start: PoseSequence  # Poses frame by frame, on the root path
-    solution: FragmentSolution
-    bone_imus: BoneImuSequence  # Sensors at the frames' times
-    contacts: Contacts
-    path: RootPath
-    warnings: tuple[str, ...]  # Limitations of the root path, in sentences
-
-
-def reconstruct_from_sensors(
-    recording: Recording,
-    skeleton: SkeletonModel,
-    settings: SensorsAloneSettings | None = None,
-    solver: JointSpaceSettings | None = None,
-    frames: int = 50,
-    sensor_joints: tuple[str, ...] = (),
-    progress: Callable[[int, int], None] | None = None,
-    times: Array | None = None,
-) -> SensorsAlone:
-    """Reconstruct a recording without its keypoints.
-
-    Args:
-        recording: with IMUs and their calibration; its floor height counts, 0 where it has none.
-        sensor_joints: further segments for which the compiled problem has room for a sensor.
-        progress: called with (fragments done, fragments in all).
-        times: (T,) s of the frames; by default `frame_times`.
+def reconstruct_from_sensors(job: Job) -> Reconstruction:
+    """Reconstruct a recording without its keypoints; its floor height counts, 0 where it has none.
 
     Raises:
-        InvalidInputError: there are no IMUs, none has samples, or the skeleton has no pose prior.
-        CalibrationError: the IMUs are not calibrated.
+        InvalidInputError: there are no IMUs, none has samples, the skeleton has no pose prior, or the settings are of
+            cartesian space. CalibrationError: the IMUs are not calibrated.
     """
-    settings, solver = settings or SensorsAloneSettings(), solver or JointSpaceSettings()
+    settings, skeleton = job.settings, job.subject
+    if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):
+        raise InvalidInputError("mode imu is solved in joint space; leave out the other space and its settings")
+    solver = settings.fragment or replace(settings, space="joint").solver(skeleton)
+    assert isinstance(solver, JointSpaceSettings)
+    recording, faults = cleaned(job.recording, settings, camera=False)
     if recording.imus is None:
         raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
     if not has_prior(skeleton.name):
         raise InvalidInputError(f"mode imu: no pose prior is shipped for the skeleton {skeleton.name!r}")
-    times = frame_times(recording.imus, settings.rate_hz) if times is None else times
-    bone_imus = recording.bone_imus(times=times)
+    bone_imus = recording.bone_imus(times=frame_times(recording.imus) if job.times is None else job.times)
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
     start = poses_from_sensors(skeleton, bone_imus)
@@ -91,15 +62,32 @@ def reconstruct_from_sensors(
     start = _on_path(start, path, contacts, skeleton)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
     stand = contact_points(contacts, ankles, ankle_height)
-    solver = replace(solver, floor_height=None)  # the contact points contain it
-    solution = FragmentSolver(skeleton, frames, solver, (*bone_imus.joints, *sensor_joints)).solve(
-        start, None, bone_imus, progress, stand
+    places = *bone_imus.joints, *settings.sensor_joints
+    solution = FragmentSolver(skeleton, settings.frames, replace(solver, floor_height=None), places).solve(
+        start, None, bone_imus, lambda done, total: job.progress("imu", done, total), stand
+    )  # the contact points contain the floor
+    motion = skeleton.motion(solution.poses)
+    stages = {"start": start, "imu": motion.poses}
+    scores = stage_metrics(stages, recording.truth, skeleton, "imu")
+    return Reconstruction(
+        job.recording,
+        "imu",
+        motion,
+        stages,
+        None,
+        bone_imus,
+        solution,
+        scores.get("imu"),
+        scores,
+        path.sigma,
+        faults,
+        _warnings(start, contacts, skeleton, ankle_height),
+        checks=check_sensor_form(job.recording) if settings.checks else (),
+        choices=Choices(settings=settings.with_fragment(solver)),
     )
-    warnings = _warnings(start, contacts, skeleton, ankle_height)
-    return SensorsAlone(start, solution, bone_imus, contacts, path, warnings)
 
 
-def frame_times(imus: ImuSequence, rate_hz: float, stop: float | None = None) -> Array:
+def frame_times(imus: ImuSequence, rate_hz: float = RATE_HZ, stop: float | None = None) -> Array:
     """Return even frame times (T,), s, at `rate_hz` or the sensors' lower one, to `stop`, s, or their last sample."""
     first, last = imus.times[[0, -1]]
     last = last if stop is None else stop

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from rtof_kin.core.choices import GUARDS, SPACES, Guard, Space
@@ -11,20 +11,6 @@ from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 if TYPE_CHECKING:
     from rtof_kin.body.skeleton import SkeletonModel
-    from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
-    from rtof_kin.solve.initial_guess import InertialGuidedIKSettings
-
-
-def _inertial_ik() -> InertialGuidedIKSettings:
-    from rtof_kin.solve.initial_guess import InertialGuidedIKSettings  # late: the command line's help needs no solver
-
-    return InertialGuidedIKSettings()
-
-
-def _sensors_alone() -> SensorsAloneSettings:
-    from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
-
-    return SensorsAloneSettings()
 
 
 @dataclass(frozen=True)
@@ -33,7 +19,6 @@ class ReconstructionSettings:
 
     lift_with_sensors: bool = True
     """Give the lifter the sensors' orientations in the modes that use sensors, if its network takes them."""
-    inertial_ik: InertialGuidedIKSettings = field(default_factory=_inertial_ik)
     fragment: JointSpaceSettings | CartesianSettings | None = None
     """Settings of the fragment solver; their type gives the space. Default: those of `space`."""
     space: Space | None = None
@@ -50,8 +35,6 @@ class ReconstructionSettings:
     sensor_joints: tuple[str, ...] = ()
     """Segments for which the compiled problem has room for a sensor, besides those of the recording:
     recordings with any subset of them share one compilation."""
-    sensors_alone: SensorsAloneSettings = field(default_factory=_sensors_alone)
-    """Frames, contacts and root path of mode imu."""
 
     def __post_init__(self) -> None:
         if self.fragment is not None and self.space is not None:

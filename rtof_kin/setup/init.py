@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.core.files.manifest import fingerprint, made_from
 from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.core.packages import can_draw
-from rtof_kin.data.camera_motion import stabilised
+from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -30,7 +30,7 @@ from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
-from rtof_kin.setup.camera import MOTION, SetupCamera, assumed_camera, calibrated_camera, filming_camera, seen_camera
+from rtof_kin.setup.camera import MOTION, assumed_camera, calibrated_camera, filming_camera, seen_camera
 from rtof_kin.setup.people import (
     PICTURE,
     People,
@@ -41,17 +41,16 @@ from rtof_kin.setup.people import (
     write_people,
 )
 from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
+from rtof_kin.setup.sensors import SetupSensors, sensors_by_pose, set_up_sensors
 from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
+from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
+from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.video import detect_video
 from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
-
-if TYPE_CHECKING:
-    from rtof_kin.setup.sensors import SetupSensors
 
 KEYPOINTS: Final = "keypoints.npz"
 FINDINGS: Final = "findings.json"  #: Files of the folder beside `INDEX`, `PICTURE` and `IMUS`
@@ -180,11 +179,7 @@ def make_recording(
             f"{folder}: is of another person of the video; name another folder by -o, or add --overwrite, "
             "which replaces that person's results"
         )
-    if not sources.seen:
-        from rtof_kin.setup.sensors_alone import make_sensor_recording
-
-        return make_sensor_recording(sources, settings, folder, name=name, inputs=inputs)
-    if before.get("people") != inputs["people"]:
+    if sources.seen and before.get("people") != inputs["people"]:
         begun = {step: inputs[step] for step in ("files", "people")}
         find_people(sources, settings, folder, detect, begun, progress)
     return write_recording(sources, settings, folder, name=name, inputs=inputs, progress=progress)
@@ -214,73 +209,116 @@ def write_recording(
     inputs: Mapping[str, str] | None = None,
     progress: Progress | None = None,
 ) -> Findings:
-    """Write ``recording.toml`` and the sensors beside what `find_people` wrote.
+    """Write ``recording.toml`` and the sensors beside what `find_people` wrote, or a recording of sensors alone.
 
-    `sources`, `settings`: as for `find_people`. `name`: title in reports; default: of the video or keypoints. `inputs`:
-    fingerprints for the folder's manifest. `progress`: called with (stage, steps done, in all).
+    `sources`, `settings`: as for `find_people`. `name`: title in reports; default: of the video, the keypoints or the
+    sensors. `inputs`: fingerprints for the folder's manifest. `progress`: called with (stage, steps done, in all).
 
     Returns:
         What was given, found, assumed and is in doubt; `read_findings` reads it again.
 
     Raises:
-        InvalidInputError: several people and none was chosen, no plausible height, or sensors that cannot
-            belong to the video. CalibrationError: nothing relates the sensors to the video.
+        InvalidInputError: several people and none was chosen, no plausible height, sensors that cannot belong to the
+            video, or segments that are not known. CalibrationError: nothing relates the sensors to the video, or
+            without one they never rest.
     """
-    folder, progress = Path(folder), progress or (lambda *_: None)
-    people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
-    number = choose_person(people, settings.person, str(folder / PICTURE))
-    seen = replace(people.detections, times=people.times)
-    filming = filming_camera(sources.video, seen, _camera(sources, settings, video), settings.phone_log, progress)
-    camera = filming.camera
-    detected = keypoints_from_detections(
-        people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
-    )
-    turned, still = filming.motion, detected.keypoints
-    still = still if turned is None else stabilised(still, turned)
-    if sources.sensors and not camera.placed:
-        camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
-        still = replace(still, camera=camera.camera)
-    sensors = _sensors(sources, settings, still, camera, video.metadata, progress)
-    about = {
-        **_session(video),
-        "subject": subject_table(settings),
-        **_scene(camera),
-        "camera": camera.fields,
-        "keypoints": _keypoints(sources, settings, detected, people, number),
+    folder, usual = Path(folder), SkeletonModel.default()
+    skeleton = usual if settings.height is None else usual.with_height(settings.height)
+    if settings.height is None:
+        tall = round(usual.height, 2)
+        note = "a usual one; every length follows it: give --height, or write it here"
+        height = Field(tall, Origin.ASSUMED, note, f"the person is {tall:.2f} m tall")
+    else:
+        height = Field(settings.height, Origin.GIVEN, summary=f"the person is {settings.height:.2f} m tall")
+    about: dict[str, Field | Tables] = {
+        "schema_version": Field(SCHEMA_VERSION),
+        "name": Field(name or sources.name),
+        "subject": {"height_m": height},
     }
-    top = {"schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name)}
-    tables: Tables = top | about | ({} if sensors is None else {"imus": sensors.fields})
-    doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
-    doubts += sensors.doubts if sensors else ()
-    found = findings_of(tables, doubts)
-    with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
-        for kept in (KEYPOINTS, PICTURE):
-            if kept == KEYPOINTS or (folder / kept).exists():
-                shutil.copyfile(folder / kept, fresh / kept)
-        if turned is not None:
-            write_camera_motion(fresh / MOTION, turned)
-        if sensors is not None:
-            write_imus(fresh / IMUS, sensors.imus)
-        for file, text in texts_of(found, tables, sources, settings).items():
-            write_text(fresh / file, text)
-        Recording.load(fresh)
-    return found
-
-
-def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
-    """Return the texts of a recording's folder by file; without the name of a video that is not kept.
-
-    `sources`, `settings`: as for `make_recording`.
-    """
+    if sources.seen:
+        seen = _seen(sources, settings, folder, skeleton, progress or (lambda *_: None))
+    else:
+        log = read_sensor_log(sources.sensors)
+        seen = _Seen({}, [], None, sensors_by_pose(log, sources.sensor_map, settings.pose, skeleton))
+    sensors = seen.sensors
+    of_sensors: Tables = {} if sensors is None else {"imus": sensors.fields}
+    tables: Tables = {**about, **seen.tables, **of_sensors}
+    doubts = [*seen.doubts, *(sensors.doubts if sensors is not None else ())]
+    said: dict[str, list[str]] = {origin.value: [] for origin in Origin}
+    for origin, sentence in summaries(tables):
+        said[origin.value].append(sentence)
+    found = Findings(**{kind: tuple(some) for kind, some in said.items()}, doubtful=tuple(doubts))
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
         INDEX: recording_text({**tables, "notes": {"text": Field(found.text)}}, title),
     }
-    if settings.keep_video or (video := sources.video) is None:
-        return texts
-    names = str(video), video.name
-    return {file: text.replace(names[0], "the video").replace(names[1], "the video") for file, text in texts.items()}
+    with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
+        for kept in (KEYPOINTS, PICTURE) if sources.seen else ():
+            if kept == KEYPOINTS or (folder / kept).exists():
+                shutil.copyfile(folder / kept, fresh / kept)
+        if seen.turned is not None:
+            write_camera_motion(fresh / MOTION, seen.turned)
+        if sensors is not None:
+            write_imus(fresh / IMUS, sensors.imus)
+        for file, text in texts.items():
+            if sources.video is not None and not settings.keep_video:
+                text = text.replace(str(sources.video), "the video").replace(sources.video.name, "the video")
+            write_text(fresh / file, text)
+        Recording.load(fresh)
+    return found
+
+
+class _Seen(NamedTuple):
+    """What a video shows: tables of camera, keypoints and session, and the sensors that it is related to."""
+
+    tables: Tables
+    doubts: list[str]
+    turned: CameraMotion | None
+    sensors: SetupSensors | None
+
+
+def _seen(
+    sources: Sources, settings: SetupSettings, folder: Path, skeleton: SkeletonModel, progress: Progress
+) -> _Seen:
+    people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
+    number = choose_person(people, settings.person, str(folder / PICTURE))
+    if sources.camera is not None:
+        known = video.size_px if sources.video is not None or settings.size_px is not None else None
+        title = sources.video.name if sources.video is not None else "the image"
+        camera = calibrated_camera(sources.camera, settings.camera_name, known, title)
+    else:
+        camera = assumed_camera(*video.size_px, lens_prior(*video.size_px, video.metadata), video.size)
+    filmed = replace(people.detections, times=people.times)
+    filming = filming_camera(sources.video, filmed, camera, settings.phone_log, progress)
+    camera, turned = filming.camera, filming.motion
+    detected = keypoints_from_detections(
+        people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
+    )
+    still = detected.keypoints if turned is None else stabilised(detected.keypoints, turned)
+    sensors, start_utc = None, None if video.metadata is None else video.metadata.start_utc
+    if sources.sensors and not camera.placed:
+        camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
+        still = replace(still, camera=camera.camera)
+    if sources.sensors:
+        log, even = read_sensor_log(sources.sensors), evenly_spaced(still)
+        progress("lift", 0, 1)
+        poses = lift(even, skeleton, settings.lifter, None, None if camera.placed else 0.0).poses
+        progress("lift", 1, 1)
+        progress("sensors", 0, 1)
+        sensors = set_up_sensors(log, sources.sensor_map, poses, even, skeleton, start_utc)
+        progress("sensors", 1, 1)
+    tables: dict[str, Tables] = {}
+    if start_utc is not None:
+        tables["session"] = {"date": Field(start_utc.date().isoformat(), Origin.FILE, "the video, in UTC")}
+    if not camera.placed:
+        note = "take this line out where the floor is not flat"
+        floor = Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")
+        tables["scene"] = {"floor_height_m": floor}
+    tables["camera"] = camera.fields
+    tables["keypoints"] = _keypoints(sources, settings, detected.recognition.layout, people, number)
+    doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
+    return _Seen(tables, doubts, turned, sensors)
 
 
 def read_findings(folder: str | Path) -> Findings:
@@ -291,9 +329,6 @@ def read_findings(folder: str | Path) -> Findings:
     """
     data = load_json(Path(folder) / FINDINGS)
     return Findings(**{kind: tuple(map(str, sentences)) for kind, sentences in data.items()})
-
-
-# --- image ---------------------------------------------------------------------------------------
 
 
 def _described(sources: Sources, settings: SetupSettings) -> _Video:
@@ -330,73 +365,7 @@ def _detections(sources: Sources, video: _Video, detect: Detect) -> Detections:
     return replace(found, times=np.arange(len(found)) / video.rate_hz)
 
 
-def _camera(sources: Sources, settings: SetupSettings, video: _Video) -> SetupCamera:
-    if sources.camera is not None:
-        known = video.size_px if sources.video is not None or settings.size_px is not None else None
-        title = sources.video.name if sources.video is not None else "the image"
-        return calibrated_camera(sources.camera, settings.camera_name, known, title)
-    return assumed_camera(*video.size_px, lens_prior(*video.size_px, video.metadata), video.size)
-
-
-# --- sensors -------------------------------------------------------------------------------------
-
-
-def _sensors(
-    sources: Sources,
-    settings: SetupSettings,
-    keypoints: KeypointSequence,
-    camera: SetupCamera,
-    metadata: VideoMetadata | None,
-    progress: Progress,
-) -> SetupSensors | None:
-    if not sources.sensors:
-        return None
-    from rtof_kin.setup.sensors import set_up_sensors
-
-    log = read_sensor_log(sources.sensors)
-    skeleton = SkeletonModel.default()
-    skeleton = skeleton if settings.height is None else skeleton.with_height(settings.height)
-    keypoints = evenly_spaced(keypoints)
-    progress("lift", 0, 1)
-    poses = lift(keypoints, skeleton, settings.lifter, None, None if camera.placed else 0.0).poses
-    progress("lift", 1, 1)
-    progress("sensors", 0, 1)
-    start_utc = None if metadata is None else metadata.start_utc
-    found = set_up_sensors(log, sources.sensor_map, poses, keypoints, skeleton, start_utc)
-    progress("sensors", 1, 1)
-    return found
-
-
-# --- tables and sentences ------------------------------------------------------------------------
-
-
-def _session(video: _Video) -> dict[str, Tables]:
-    start = video.metadata.start_utc if video.metadata is not None else None
-    if start is None:
-        return {}
-    return {"session": {"date": Field(start.date().isoformat(), Origin.FILE, "the video, in UTC")}}
-
-
-def subject_table(settings: SetupSettings) -> Tables:
-    """Return the table ``[subject]``."""
-    if settings.height is None:
-        usual = round(SkeletonModel.default().height, 2)
-        note = "a usual one; every length follows it: give --height, or write it here"
-        return {"height_m": Field(usual, Origin.ASSUMED, note, f"the person is {usual:.2f} m tall")}
-    return {"height_m": Field(settings.height, Origin.GIVEN, summary=f"the person is {settings.height:.2f} m tall")}
-
-
-def _scene(camera: SetupCamera) -> dict[str, Tables]:
-    if camera.placed:
-        return {}
-    note = "take this line out where the floor is not flat"
-    return {"scene": {"floor_height_m": Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")}}
-
-
-def _keypoints(
-    sources: Sources, settings: SetupSettings, detected: DetectedKeypoints, people: People, number: int
-) -> Tables:
-    kind = detected.recognition.layout
+def _keypoints(sources: Sources, settings: SetupSettings, kind: Layout, people: People, number: int) -> Tables:
     origin = Origin.FOUND if settings.person is None else Origin.GIVEN
     source = "the detector" if sources.keypoints is None else sources.keypoints.name
     who = f"person {number} of {len(people)} in {PICTURE}"
@@ -420,11 +389,3 @@ def _doubts(settings: SetupSettings, keypoints: KeypointSequence, people: People
     if settings.height is None:
         out.append("the person's height is not known, and every length follows it; give --height 1.72")
     return out
-
-
-def findings_of(tables: Tables, doubts: list[str]) -> Findings:
-    """Return the sentences of a recording's tables."""
-    sentences: dict[str, list[str]] = {origin.value: [] for origin in Origin}
-    for origin, sentence in summaries(tables):
-        sentences[origin.value].append(sentence)
-    return Findings(**{kind: tuple(some) for kind, some in sentences.items()}, doubtful=tuple(doubts))

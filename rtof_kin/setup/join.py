@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -22,24 +22,19 @@ from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 ABOUT: Final = "second camera"  #: What sentences on it begin with
 
 
-@dataclass(frozen=True)
-class Joined:
-    """A recording with a second view."""
-
-    recording: Recording  #: The first one, with the second camera's keypoints on its clock and that camera in its world
-    found: str  #: What was estimated, in a sentence with standard deviations
-    doubt: str  #: Why it may be wrong; empty where sure
-
-
 def join_recordings(
     first: Recording, second: Recording, lifter: LifterLike | None = None, *, synchronised: bool = False
-) -> Joined:
+) -> Recording:
     """Join the videos of two cameras that saw the same person at the same time.
 
     Clocks are found from the movement. Two calibrated cameras are in one world already; of others the second
     one's pose, and both focal lengths, are found too (`find_second_camera`).
 
     `first`: with sensors or without; its camera defines the world. `lifter`: default: the shipped one.
+
+    Returns:
+        The first recording with the second camera's keypoints on its clock and that camera in its world; its notes
+        begin with why this may be in doubt and end with what was estimated, with standard deviations.
 
     Raises:
         InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in
@@ -66,7 +61,7 @@ def join_recordings(
     found = f"{ABOUT}: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
     notes = [f"doubtful: {ABOUT}: {doubt}"] if doubt else []
     notes += [first.notes] if first.notes else []
-    return Joined(replace(joined, notes="\n".join([*notes, f"found: {found}"])), found, doubt)
+    return replace(joined, notes="\n".join([*notes, f"found: {found}"]))
 
 
 def find_second_camera(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,7 +169,11 @@ def write_frames_picture(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    frames = _instants(people)
+    # Of equal parts of the recording, the frame of each in which most of the people is seen.
+    seen = people.detections.confidence.sum(axis=(1, 2))
+    parts = np.array_split(np.arange(len(seen)), min(_PANELS, len(seen)))
+    best = [int(part[np.argmax(seen[part] >= 0.98 * seen[part].max())]) for part in parts]
+    frames = [frame for frame in best if seen[frame] > 0]
     images = {} if video is None else _images(video, frames)
     joints = [_joints(people, n, layout) for n in range(len(people))]
     columns = 3 if image_px[0] >= image_px[1] else _PANELS
@@ -179,19 +183,12 @@ def write_frames_picture(
     figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, frame in zip(figure.subplots(rows, columns, squeeze=False).flat, frames, strict=False):
-        _draw(axes, frame, people, joints, image_px, images.get(frame))
+        shown = [(uv[frame], bones) for uv, bones in joints]
+        _draw(axes, f"{people.times[frame]:.2f} s", shown, image_px, images.get(frame))
     for axes in figure.axes:
         axes.set_axis_off()
     with new_file(path, overwrite=True) as whole:
         figure.savefig(whole, dpi=150)
-
-
-def _instants(people: People) -> list[int]:
-    """Return, of equal parts of the recording, the frame of each in which most of the people is seen."""
-    seen = people.detections.confidence.sum(axis=(1, 2))
-    parts = np.array_split(np.arange(len(seen)), min(_PANELS, len(seen)))
-    best = [int(part[np.argmax(seen[part] >= 0.98 * seen[part].max())]) for part in parts]
-    return [frame for frame in best if seen[frame] > 0]
 
 
 def _images(video: str | Path, frames: Sequence[int]) -> dict[int, NDArray[np.uint8]]:
@@ -206,65 +203,39 @@ def _images(video: str | Path, frames: Sequence[int]) -> dict[int, NDArray[np.ui
     return found
 
 
-def _joints(people: People, column: int, layout: str) -> tuple[Array, tuple[tuple[int, int], ...]]:
+def _joints(people: People, column: int, layout: str) -> tuple[Array, list[tuple[int, int]]]:
     """Return the joints (T, J, 2) of a person, px, and the pairs of them that a bone connects."""
-    regression, skeleton = LandmarkRegression.default(), SkeletonModel.default()
+    skeleton = SkeletonModel.default()
     uv, confidence = people.detections.uv_px[:, column], people.detections.confidence[:, column]
-    found = regression.apply(layout, uv, confidence)
-    names = [name for name in skeleton.names if name in found.names]
-    bones = tuple(
-        (names.index(skeleton.names[parent]), names.index(name))
-        for name, parent in zip(skeleton.names, skeleton.parents, strict=True)
-        if parent >= 0 and name in names and skeleton.names[parent] in names
-    )
-    return found.uv_px[:, [found.names.index(name) for name in names]], bones
+    found = LandmarkRegression.default().apply(layout, uv, confidence)
+    index = {name: i for i, name in enumerate(found.names) if name in skeleton.names}
+    parents = (skeleton.names[parent] if parent >= 0 else "" for parent in skeleton.parents)
+    pairs = zip(parents, skeleton.names, strict=True)
+    return found.uv_px, [(index[a], index[b]) for a, b in pairs if a in index and b in index]
 
 
 def _draw(
     axes: Axes,
-    frame: int,
-    people: People,
-    joints: Sequence[tuple[Array, Any]],
+    time: str,
+    people: Sequence[tuple[Array, list[tuple[int, int]]]],
     image_px: tuple[int, int],
     image: NDArray[np.uint8] | None,
 ) -> None:
+    """Draw the joints (J, 2) and bones of each person over an image, with their numbers."""
     width, height = image_px
-    if image is None:
-        from matplotlib.patches import Rectangle
-
-        axes.add_patch(Rectangle((0, 0), width, height, facecolor="#f4f4f2", edgecolor="#b0b0b0", linewidth=0.8))
-    else:
-        axes.imshow(image, extent=(0, width, height, 0))
-    axes.set_xlim(0, width)
-    axes.set_ylim(height, 0)
-    axes.set_aspect("equal")
-    axes.text(
-        0.02 * width,
-        0.98 * height,
-        f"{people.times[frame]:.2f} s",
-        fontsize=8,
-        bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-    )
-    for number, (uv, bones) in enumerate(joints, start=1):
-        points, color = uv[frame], _COLORS[(number - 1) % len(_COLORS)]
-        seen = points[np.isfinite(points).all(axis=-1)]
+    plain = np.full((1, 1, 3), 244, dtype=np.uint8)
+    axes.imshow(plain if image is None else image, extent=(0, width, height, 0))
+    label = {"boxstyle": "round,pad=0.2", "edgecolor": "none"}
+    white = {**label, "facecolor": "white", "alpha": 0.8}
+    axes.text(0.02 * width, 0.98 * height, time, fontsize=8, bbox=white)
+    for number, (uv, bones) in enumerate(people, start=1):
+        seen, color = uv[np.isfinite(uv).all(axis=-1)], _COLORS[(number - 1) % len(_COLORS)]
         if not len(seen):
             continue
         for a, b in bones:
-            axes.plot(*points[[a, b]].T, color=color, linewidth=1.6, solid_capstyle="round")
-        own = people.detections.uv_px[frame, number - 1]
-        axes.plot(
-            *own.T, linestyle="", marker="o", markersize=1.8, color="white", markeredgecolor=color, markeredgewidth=0.6
-        )
-        top = np.nanmin([seen[:, 1].min(), np.nanmin(own[:, 1])])
-        axes.text(
-            float(np.clip(seen[:, 0].mean(), 0.04 * width, 0.96 * width)),
-            float(np.clip(top - 0.03 * height, 0.07 * height, height)),
-            str(number),
-            color="white",
-            fontsize=9,
-            fontweight="bold",
-            ha="center",
-            va="bottom",
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
-        )
+            axes.plot(*uv[[a, b]].T, color=color, linewidth=1.6, solid_capstyle="round")
+        x = float(np.clip(seen[:, 0].mean(), 0.04 * width, 0.96 * width))
+        y = float(np.clip(seen[:, 1].min() - 0.03 * height, 0.07 * height, height))
+        own = {**label, "facecolor": color}
+        axes.text(x, y, str(number), color="white", fontsize=9, fontweight="bold", ha="center", va="bottom", bbox=own)
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")

@@ -120,7 +120,7 @@ def run(
         check_replaceable(output, INDEX, overwrite)
         first, other = Recording.load(folder / RECORDING), Recording.load(folder / SECOND)
         joined = join_recordings(first, other, setup.lifter, synchronised=second.synchronised)
-        joined.recording.save(output, overwrite, inputs)
+        joined.save(output, overwrite, inputs)
 
     if second.second:
         others = replace(setup, person=second.second_person, camera_name=second.second_camera, phone_log=None)

@@ -1,4 +1,4 @@
-"""Sensors of a take beside its video: clock, segments, headings and mounting, found from the motion."""
+"""Sensors of a take: clock, segments, headings and mounting, found from the motion in a video or a still pose."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.segment_names import known_segment, segments_of
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, calibrate_recording
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log
@@ -210,35 +211,83 @@ def _assigned(log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence) -> t
     return places, [f"left out, as their segments are not sure: {', '.join(left)}; {remedy}"]
 
 
-def _fields(
-    imus: ImuSequence, clock: ClockEstimate, found: Alignment, places: Mapping[str, Field]
-) -> dict[str, Field | Tables]:
+def _fields(imus: ImuSequence, clock: ClockEstimate, found: Alignment, places: Mapping[str, Field]) -> Tables:
     """Return the table ``[imus]``."""
     start = clock.offset - clock.drift * clock.middle
     sigma = f"± {clock.sigma:.1f} s" if clock.doubt else f"± {1000 * clock.sigma:.0f} ms"
     origin, why = (Origin.ASSUMED, "other offsets fit too") if clock.doubt else (Origin.FOUND, "by their motion")
     drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {IMUS}" if clock.drift else ""
-    fields: dict[str, Field | Tables] = {
-        "file": Field(IMUS),
-        "names": Field(list(imus.names)),
-        "start_s": Field(
-            round(start, 5),
-            origin,
-            f"{sigma}, {why}; {IMUS} is on the sensors' clock{drift}",
-            f"the sensors began {abs(start):.{1 if clock.doubt else 3}f} s "
-            f"{'after' if start >= 0 else 'before'} the video, {sigma}{f', {why}' if clock.doubt else ''}",
-        ),
-    }
+    began = Field(
+        round(start, 5),
+        origin,
+        f"{sigma}, {why}; {IMUS} is on the sensors' clock{drift}",
+        f"the sensors began {abs(start):.{1 if clock.doubt else 3}f} s "
+        f"{'after' if start >= 0 else 'before'} the video, {sigma}{f', {why}' if clock.doubt else ''}",
+    )
     tables = calibration_table(found.calibration)
-    sensors: dict[str, Tables] = {}
-    for sensor in found.sensors:
-        own = tables[sensor.sensor]
-        sd = round(float(np.degrees(sensor.sigma_heading)), 1)
-        sensors[sensor.sensor] = {
-            "joint": places[sensor.sensor],
-            "lever_arm_m": Field(own["lever_arm_m"], Origin.ASSUMED, "the usual place on this segment"),
-            "R_world_inertial": Field(own["R_world_inertial"], Origin.FOUND, f"heading ± {sd:g} degrees"),
-            "R_sensor_bone": Field(own["R_sensor_bone"], Origin.FOUND, "mounting, by the video"),
-            "mounting_sd_deg": Field(own["mounting_sd_deg"], Origin.FOUND, "about each axis"),
+    notes = {
+        sensor.sensor: (
+            f"heading ± {round(float(np.degrees(sensor.sigma_heading)), 1):g} degrees",
+            "mounting, by the video",
+            Field(tables[sensor.sensor]["mounting_sd_deg"], Origin.FOUND, "about each axis"),
+        )
+        for sensor in found.sensors
+    }
+    sensors = _sensors(tables, places, notes)
+    return {"file": Field(IMUS), "names": Field(list(imus.names)), "start_s": began, "sensors": sensors}
+
+
+def _sensors(
+    tables: Mapping[str, Any], places: Mapping[str, Field], notes: Mapping[str, tuple[str, str, Field]]
+) -> Tables:
+    """Return the tables ``[imus.sensors]``.
+
+    `tables`: of the calibration. `notes`: on heading and mounting of each sensor, and the mounting's deviation.
+    """
+    return {
+        name: {
+            "joint": places[name],
+            "lever_arm_m": Field(tables[name]["lever_arm_m"], Origin.ASSUMED, "the usual place on this segment"),
+            "R_world_inertial": Field(tables[name]["R_world_inertial"], Origin.FOUND, heading),
+            "R_sensor_bone": Field(tables[name]["R_sensor_bone"], Origin.FOUND, mounting),
+            "mounting_sd_deg": sigma,
         }
-    return fields | {"sensors": sensors}
+        for name, (heading, mounting, sigma) in notes.items()
+    }
+
+
+def sensors_by_pose(
+    log: SensorLog, sensor_map: Path | None, pose: Literal["N", "T", "seated"], skeleton: SkeletonModel
+) -> SetupSensors:
+    """Find headings and mounting of sensors without a video: the person stands still in a known pose for a second.
+
+    Raises:
+        InvalidInputError: which sensor is where is not known.
+        CalibrationError: the sensors never rest, or two are on one segment. Errors of the map.
+    """
+    places = known_places(log, sensor_map, skeleton)
+    if places is None:
+        raise InvalidInputError(
+            f"{log.path}: without a video it must be known which sensor is where; name their segments in a "
+            "file of two columns, --map FILE"
+        )
+    log = log.select(list(places))
+    found = calibrate_by_pose(log, {sensor: str(place.value) for sensor, place in places.items()}, pose, skeleton)
+    imus = imus_of_log(log)
+    first = float(imus.times[0])
+    start, stop = (at - first for at in found.still)
+    held = f"{found.pose}-pose from {start:.1f} to {stop:.1f} s"
+    notes = {}
+    for report in found.sensors:
+        off, sigma = f"± {report.expected_deg:.0f} degrees", round(report.expected_deg / np.sqrt(3), 1)
+        spread = Field(sigma, Origin.ASSUMED, f"about each axis, {off} in all")
+        notes[report.sensor] = "heading", f"mounting {off}, by the pose", spread
+    usual = float(np.mean([report.expected_deg for report in found.sensors]))
+    summary = f"mounting of {len(notes)} sensors, ± {usual:.0f} degrees, by the pose"
+    names = f"the person stood in the {held}; --pose takes another one"
+    fields: Tables = {
+        "file": Field(IMUS, Origin.FOUND, "", summary),
+        "names": Field(list(imus.names), Origin.ASSUMED, held, names),
+        "sensors": _sensors(calibration_table(found.calibration), places, notes),
+    }
+    return SetupSensors(replace(imus, times=imus.times - first), fields, found.warnings)

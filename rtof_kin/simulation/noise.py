@@ -1,9 +1,8 @@
-"""Random errors of a detector's keypoints and of IMUs.
+"""Random errors of IMUs.
 
-The sizes were measured on real detectors and on one recording of thirteen IMUs. A detector's error is mostly
-a constant bias per joint and a slow drift, hardly white, and not correlated with its confidence. An IMU's
-orientation error is slow slip and soft-tissue motion, mostly about the bone. Every parameter is drawn for
-each recording from a log-normal distribution (`parameter_spread`).
+The sizes were measured on one recording of thirteen IMUs. An IMU's orientation error is slow slip and soft-tissue
+motion, mostly about the bone. Every parameter is drawn for each recording from a log-normal distribution
+(`parameter_spread`).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnitError
 from rtof_kin.data.imu import GRAVITY_WORLD, ImuCalibration, ImuSequence
@@ -48,66 +47,13 @@ _MEDIAN_NORM: Final = 0.816  #: Median norm of a normal vector with standard dev
 _SWING_SHARE: Final = 0.3
 _POSTURE_SCALE, _RATE_SCALE = 0.3, 1.0  #: Motion of a segment at which its soft-tissue error saturates, rad and rad/s
 _CYCLE = ((1, 2), (2, 0), (0, 1))
-_ARMS = ("LeftForeArm", "LeftHand", "RightForeArm", "RightHand")
-_LEGS = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
-_WRISTS = ("LeftHand", "RightHand")
 
 
-def _varied(noise: Any, rng: Generator, *fixed: str) -> dict[str, Any]:
+def varied(noise: Any, rng: Generator, *fixed: str) -> dict[str, Any]:
     """Return the numbers of some errors, each but the fixed ones times a log-normal factor."""
     names = [one.name for one in fields(noise) if one.type == "float" and one.name not in ("parameter_spread", *fixed)]
     factors = np.exp(noise.parameter_spread * rng.standard_normal(len(names)))
     return {name: getattr(noise, name) * float(k) for name, k in zip(names, factors, strict=True)}
-
-
-@dataclass(frozen=True)
-class KeypointNoise:
-    """Errors of a detector, for a person about 500 px tall (f = 1250 px, 4 m away)."""
-
-    bias_px: float = 6.0  # [px] per axis, constant per joint
-    drift_px: float = 5.0  # [px] per axis, coloured
-    drift_memory: float = 0.5  # [s] correlation time of the drift
-    wrist_memory: float = 0.3  # [s] the same at the wrists
-    white_px: float = 0.3  # [px] per axis, from frame to frame
-    arms_factor: float = 1.3  # [-] on all of these, wrists and elbows
-    legs_factor: float = 0.8  # [-] the same, knees and ankles
-    outlier_share: tuple[float, float] = (0.03, 0.05)  # [-] of frames of a joint, drawn in between
-    outlier_px: float = 80.0  # [px] median length of an outlier's displacement
-    outlier_duration: tuple[float, float] = (0.2, 1.0)  # [s] drawn in between
-    gap_duration: tuple[float, float] = (0.5, 5.0)  # [s] least time unseen once out of the image
-    hides_outside: bool = True  # whether landmarks outside the image are unseen
-    confidence: float = 0.8  # [-] mean of what the detector reports
-    confidence_spread: float = 0.1  # [-] its standard deviation, which has little to do with errors
-    parameter_spread: float = 0.25  # [-] of the log-normal factor each number is drawn with
-
-    @classmethod
-    def perfect(cls) -> Self:
-        """Return no errors: exact projections of everything in front of the camera."""
-        return cls(
-            bias_px=0,
-            drift_px=0,
-            white_px=0,
-            outlier_share=(0, 0),
-            gap_duration=(0, 0),
-            hides_outside=False,
-            confidence=1,
-            confidence_spread=0,
-            parameter_spread=0,
-        )
-
-    @classmethod
-    def white(cls, sigma_px: float = 5.0) -> Self:
-        """Return independent normal errors of each coordinate only; sigma_px: standard deviation, px."""
-        return replace(cls.perfect(), white_px=sigma_px, arms_factor=1.0, legs_factor=1.0)
-
-    def drawn(self, rng: Generator) -> Self:
-        """Return a detector with randomly drawn parameters."""
-        share = float(rng.uniform(*self.outlier_share))
-        return replace(self, **_varied(self, rng, "confidence"), outlier_share=(share, share))
-
-    def factor(self, joint: str) -> float:
-        """Return the factor on the errors of one joint."""
-        return self.arms_factor if joint in _ARMS else self.legs_factor if joint in _LEGS else 1.0
 
 
 @dataclass(frozen=True)
@@ -140,11 +86,11 @@ class ImuNoise:
 
     def drawn(self, rng: Generator) -> Self:
         """Return a sensor with randomly drawn parameters."""
-        drawn = replace(self, **_varied(self, rng))
+        drawn = replace(self, **varied(self, rng))
         return replace(drawn, wobble_share=min(drawn.wobble_share, 1.0))
 
 
-def _coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Sequence[int]) -> Array:
+def coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Sequence[int]) -> Array:
     """Return a stationary Ornstein-Uhlenbeck process (T, *size) of unit variance; `memory` in s."""
     steps = np.diff(times).reshape(-1, *(1 for _ in size))
     share = np.exp(-steps / np.asarray(memory, dtype=float))
@@ -159,72 +105,11 @@ def smooth_noise(rng: Generator, times: Array, memory: float, size: Sequence[int
     """Return coloured noise (T, *size) of unit variance, low-pass filtered with a first-order filter; correlation time
     and the filter's time constant in s.
     """
-    raw = _coloured_noise(rng, times, memory, size)
+    raw = coloured_noise(rng, times, memory, size)
     share = np.exp(-np.diff(times) / smoothing)
     for t in range(1, len(times)):
         raw[t] = share[t - 1] * raw[t - 1] + (1 - share[t - 1]) * raw[t]
     return np.asarray(raw * np.sqrt((memory + smoothing) / memory))
-
-
-# --- keypoints -----------------------------------------------------------------------------------
-
-
-def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: KeypointNoise) -> Array:
-    """Return errors (T, L, 2) of landmarks, px; times: (T,) s."""
-    T, L = len(times), len(joints)
-    memory = [noise.wrist_memory if j in _WRISTS else noise.drift_memory for j in joints]
-    bias = noise.bias_px * rng.standard_normal((L, 2))
-    drift = _coloured_noise(rng, times, np.array(memory)[:, None], (L, 2))
-    white = noise.white_px * rng.standard_normal((T, L, 2))
-    factor = np.array([noise.factor(joint) for joint in joints])
-    errors = factor[:, None] * (bias + noise.drift_px * drift + white)
-    return errors + _outliers(rng, times, L, noise)
-
-
-def _outliers(rng: Generator, times: Array, L: int, noise: KeypointNoise) -> Array:
-    """Return constant displacements (T, L, 2), px, in random episodes that cover a share of the frames. They start at
-    the rate ``-log(1 - share) / mean duration`` and may overlap, so that the expected share is exact.
-    """
-    out = np.zeros((len(times), L, 2))
-    shortest, longest = noise.outlier_duration
-    rate = -np.log1p(-noise.outlier_share[0]) / ((shortest + longest) / 2)
-    first = times[0] - longest
-    for joint in range(L):
-        for _ in range(rng.poisson(rate * (times[-1] - first))):
-            start = rng.uniform(first, times[-1])
-            during = (times >= start) & (times < start + rng.uniform(shortest, longest))
-            angle = rng.uniform(0, 2 * np.pi)
-            length = noise.outlier_px * np.exp(0.5 * rng.standard_normal())
-            out[during, joint] = length * np.array([np.cos(angle), np.sin(angle)])
-    return out
-
-
-def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> Mask:
-    """Return which landmarks (T, L) the detector misses. A landmark outside the image is missed. When less than half of
-    the person is inside, the whole person is lost for some time.
-    """
-    if not noise.hides_outside:
-        return np.zeros_like(inside)
-    out = ~inside
-    for start, stop in signals.runs(inside.mean(axis=1) < 0.5):
-        end = times[start] + rng.uniform(*noise.gap_duration)
-        out[start:stop] = True
-        out[(times >= times[start]) & (times < end)] = True
-    return out
-
-
-def confidences(rng: Generator, times: Array, errors: Array, noise: KeypointNoise) -> Array:
-    """Return the confidences (T, L) in (0, 1] that the detector reports, mostly independent of its errors (T, L, 2),
-    px.
-    """
-    mood = _coloured_noise(rng, times, noise.drift_memory, errors.shape[1:2])
-    size = np.linalg.norm(errors, axis=-1) / noise.outlier_px
-    spread = noise.confidence_spread
-    reported = noise.confidence + spread * (mood - np.minimum(size, 1.0))
-    return np.asarray(np.clip(reported, 0.05, 1.0))
-
-
-# --- IMUs ----------------------------------------------------------------------------------------
 
 
 def mounting_errors(
@@ -268,7 +153,7 @@ def accelerometer_errors(rng: Generator, times: Array, a_world: Array, noise: Im
     white = noise.white + noise.white_per_acceleration * size
     return np.asarray(
         white * rng.standard_normal((len(times), 3))
-        + noise.coloured * _coloured_noise(rng, times, noise.coloured_memory, (3,))
+        + noise.coloured * coloured_noise(rng, times, noise.coloured_memory, (3,))
         + noise.bias * rng.standard_normal(3)
     )
 
@@ -294,20 +179,22 @@ def simulate_imus(
     wanted = indices_of("sensor", sensors, known)
     streams = rng.spawn(len(known))
     all_local = kinematics.local_rotations(skeleton.parents, poses.R_world_bone)
-    measured = [_measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted]
+    R_world_inertial, R_sensor_bone, R_inertial_sensor, f_sensor = zip(
+        *(_measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted), strict=True
+    )
     places = [skeleton.sensors[name] for name in sensors]
     calibration = ImuCalibration(
         sensors=tuple(sensors),
         joints=tuple(joint for joint, _ in places),
-        R_world_inertial=np.stack([m["R_world_inertial"] for m in measured]),
-        R_sensor_bone=np.stack([m["R_sensor_bone"] for m in measured]),
+        R_world_inertial=np.stack(R_world_inertial),
+        R_sensor_bone=np.stack(R_sensor_bone),
         p_bone_sensor=np.stack([lever for _, lever in places]),
     )
     try:
         imus = ImuSequence(
             times=times,
-            R_inertial_sensor=np.stack([m["R_inertial_sensor"] for m in measured], axis=1),
-            f_sensor=np.stack([m["f_sensor"] for m in measured], axis=1),
+            R_inertial_sensor=np.stack(R_inertial_sensor, axis=1),
+            f_sensor=np.stack(f_sensor, axis=1),
             names=tuple(sensors),
         )
     except UnitError as error:
@@ -326,8 +213,8 @@ def _measure(
     R_parent_bone: Array,
     times: Array,
     noise: ImuNoise,
-) -> dict[str, Array]:
-    """Return what one sensor measured and its calibration, by field of the two sequences."""
+) -> tuple[Array, Array, Array, Array]:
+    """Return R_world_inertial, R_sensor_bone, R_inertial_sensor and f_sensor of one sensor."""
     joint, lever = skeleton.sensors[name]
     j = skeleton.index(joint)[0]
     noise = noise.drawn(rng)
@@ -344,12 +231,8 @@ def _measure(
     p_world_sensor = poses.p_world_joint[:, j] + poses.R_world_bone[:, j] @ lever
     a_world = CubicSpline(poses.times, p_world_sensor).derivative(2)(times)
     f_sensor = np.einsum("tji,tj->ti", R_world_sensor, a_world - GRAVITY_WORLD)
-    return {
-        "R_inertial_sensor": R_world_inertial.T @ R_world_sensor,
-        "f_sensor": f_sensor + accelerometer_errors(rng, times, a_world, noise),
-        "R_world_inertial": R_world_inertial,
-        "R_sensor_bone": R_bone_sensor.T @ misalignment,
-    }
+    f_sensor = f_sensor + accelerometer_errors(rng, times, a_world, noise)
+    return R_world_inertial, R_bone_sensor.T @ misalignment, R_world_inertial.T @ R_world_sensor, f_sensor
 
 
 def _at(poses: PoseSequence, R: Array, times: Array) -> Array:

@@ -5,7 +5,7 @@ The clock is that of the poses and the IMUs. `rtof_kin.simulation.noise` simulat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,11 +32,10 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
-from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
 from rtof_kin.simulation.mocap import MocapClip, read_mocap, resample_clip
 from rtof_kin.simulation.mocap_families import PARENTS
-from rtof_kin.simulation.noise import ImuNoise, KeypointNoise, simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.vision.keypoints import keypoints_from_detections
 
 PELVIS_DEG: Final = (1.5, 5.0, 1.5)  #: Spread over people of the pelvis, about its axes x forward, y left, z up
@@ -74,11 +73,16 @@ _IN_VIEW: Final = 0.9
 _FEWEST_FRAMES: Final = 4
 
 
+LandmarkErrors = Callable[[Generator, Array, Sequence[str], Array, Mask], tuple[Array, Array]]
+"""From a source of randomness, times (T,), s, the joints that carry L landmarks, their exact pixels (T, L, 2) and which
+are inside the image (T, L): what a detector finds of them, NaN where nothing, and its confidences (T, L)."""
+
+
 @dataclass(frozen=True)
 class SimulationSettings:
     """Sensors, landmarks and errors of a simulated recording."""
 
-    keypoints: KeypointNoise | DetectorErrors = field(default_factory=DetectorErrors)
+    keypoints: DetectorErrors | LandmarkErrors | None = field(default_factory=DetectorErrors)  # None: exact 2D
     imu: ImuNoise = field(default_factory=ImuNoise)
     # A pair is the range of a uniform distribution.
     imu_rate_hz: float = 60.0  # [Hz]
@@ -95,20 +99,7 @@ class SimulationSettings:
     @classmethod
     def perfect(cls) -> Self:
         """Return exact 2D on the IMUs' clock, with realistic IMUs."""
-        return cls(keypoints=KeypointNoise.perfect())
-
-    @classmethod
-    def white(cls, sigma_px: float = 5.0) -> Self:
-        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs; sigma_px: standard deviation, px."""
-        return replace(cls.perfect(), keypoints=KeypointNoise.white(sigma_px))
-
-    @classmethod
-    def independent(cls) -> Self:
-        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs. Each joint
-        has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is late by 1 to 4 frames.
-        Real detectors' errors are correlated and depend on the view (`realistic`).
-        """
-        return cls(keypoints=KeypointNoise(), video_lag_frames=(1.0, 4.0))
+        return cls(keypoints=None)
 
     @classmethod
     def realistic(cls) -> Self:
@@ -305,12 +296,12 @@ def _simulate_keypoints(
     index, offsets = skeleton.index(*joints), np.array([offset for _, offset in landmarks])
     p = poses.p_world_joint[:, index] + np.einsum("tlij,lj->tli", poses.R_world_bone[:, index], offsets)
     p = CubicSpline(poses.times, p)(times - lag) if lag > 0 else p
-    noise = noise.drawn(rng)
-    uv = camera.project(p)
-    errors = noises.keypoint_errors(rng, times, joints, noise)
-    confidence = noises.confidences(rng, times, errors, noise)
-    seen = ~noises.unseen(rng, times, _inside(camera, uv), noise) & np.isfinite(uv).all(axis=-1)
-    uv, confidence = np.where(seen[..., None], uv + errors, np.nan), np.where(seen, confidence, 0.0)
+    uv = exact = camera.project(p)
+    confidence = np.ones(uv.shape[:2])
+    if noise is not None:
+        uv, confidence = noise(rng, times, joints, exact, _inside(camera, exact))
+    seen = np.asarray(np.isfinite(uv).all(axis=-1))
+    uv, confidence = np.where(seen[..., None], uv, np.nan), np.where(seen, confidence, 0.0)
     return KeypointSequence(camera, times, uv, confidence, names)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,21 +21,39 @@ class Done:
     out: str
     err: str
 
+    def says(self, *texts: str) -> None:
+        """Check that each of some texts was printed."""
+        assert [text for text in texts if text not in self.out] == [], self.out
 
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
-    """Run the command line with arguments of any type."""
 
-    def run(*arguments: object) -> Done:
-        capsys.readouterr()
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as stop:  # argparse
-            code = int(stop.code or 0)
-        printed = capsys.readouterr()
+@dataclass(frozen=True)
+class Cli:
+    """The command line with arguments of any type."""
+
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, *arguments: object) -> Done:
+        self.capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        printed = self.capsys.readouterr()
         return Done(code, " ".join(printed.out.split()), " ".join(printed.err.split()))
 
-    return run
+    def ok(self, *arguments: object) -> Done:
+        """Run a command that succeeds."""
+        done = self(*arguments)
+        assert done.code == 0, done.err
+        return done
+
+    def refused(self, *arguments: object) -> Done:
+        """Run a command that refuses its input in one line."""
+        done = self(*arguments)
+        assert (done.code, done.err.count("error: ")) == (2, 1), done.err
+        return done
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    return Cli(capsys)
 
 
 @pytest.fixture(scope="session")

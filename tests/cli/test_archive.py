@@ -26,8 +26,7 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     summary["warnings"] = [f"{folder}/jane.mp4: Jane is far away"]
     (out / "summary.json").write_text(json.dumps(summary))
     for name in ("a.zip", "b.zip"):
-        done = cli("export", out, tmp_path / name, "--to", "archive", "--recording", folder)
-        assert done.code == 0, done.err
+        cli.ok("export", out, tmp_path / name, "--to", "archive", "--recording", folder)
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         archive.extractall(tmp_path / "unpacked")

@@ -28,15 +28,10 @@ def video(out: Path) -> Path:
 
 def test_a_film_is_written_and_described(cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path) -> None:
     path = tmp_path / "o.mp4"
-    done = cli("overlay", out, video, "-o", path, "--bands", "--points", "--blur-face")
-    assert done.code == 0, done.err
-    assert "12 pictures of 320 x 240 px" in done.out
-    assert "no sound, no metadata" in done.out
-    assert "only the tracked person's face" in done.out
+    done = cli.ok("overlay", out, video, "-o", path, "--bands", "--points", "--blur-face")
+    done.says("12 pictures of 320 x 240 px", "no sound, no metadata", "only the tracked person's face")
     assert len(read_film(path)[0]) == 12
-    again = cli("overlay", out, video, "-o", path)
-    assert again.code == 2
-    assert "is there already" in again.err
+    assert "is there already" in cli.refused("overlay", out, video, "-o", path).err
     assert cli("overlay", out, "--no-video", "-o", path, "--overwrite", "--angles", "none").code == 0
 
 
@@ -48,12 +43,11 @@ def test_video_or_no_video_must_be_said(cli: Callable[..., Any], out: Path, vide
 
 
 def test_unknown_angles_and_films_are_named(cli: Callable[..., Any], out: Path, tmp_path: Path) -> None:
-    angle = cli("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--angles", "right_nee_flexion")
-    assert angle.code == 2
-    assert "right_knee_flexion" in angle.err
-    film = cli("overlay", out, tmp_path / "none.mp4", "-o", tmp_path / "o.mp4")
-    assert film.code == 2
-    assert "no such video" in film.err
+    assert (
+        "right_knee_flexion"
+        in cli.refused("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--angles", "right_nee_flexion").err
+    )
+    assert "no such video" in cli.refused("overlay", out, tmp_path / "none.mp4", "-o", tmp_path / "o.mp4").err
     assert "interval" in cli("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--start", "3", "--stop", "1").err
     assert not list(tmp_path.iterdir())
 

@@ -47,8 +47,7 @@ def written(folder: Path) -> dict[str, int]:
 def test_one_command_makes_recording_motion_angles_and_report(cli: Any, walk: Path, done: Path) -> None:
     assert {path.name for path in done.iterdir()} == {"recording", "motion", "angles", "report.html", MANIFEST}
     before = written(done)
-    again = cli(*options(walk, done))
-    assert again.code == 0
+    again = cli.ok(*options(walk, done))
     assert written(done) == before
     assert again.err.count("its inputs are the same; kept") == 4
     for part in (
@@ -85,9 +84,10 @@ def test_a_corrected_recording_is_used_and_never_replaced(cli: Any, walk: Path, 
     assert (out / "recording" / "recording.toml").read_text() == corrected
     summary = json.loads((out / "motion" / "summary.json").read_text())
     assert summary["inputs"]["subject"]["height_m"] == 1.8
-    other = cli(*options(walk, out), "--person", 2)
-    assert other.code == 2
-    assert "recording.toml (changed); move it elsewhere or name another folder" in other.err
+    assert (
+        "recording.toml (changed); move it elsewhere or name another folder"
+        in cli.refused(*options(walk, out), "--person", 2).err
+    )
 
 
 def test_results_of_one_person_are_not_replaced_by_those_of_another(
@@ -96,18 +96,20 @@ def test_results_of_one_person_are_not_replaced_by_those_of_another(
     out = tmp_path / "out"
     shutil.copytree(done, out)
     before = written(out)
-    other = cli(*options(walk, out), "--person", 2)
-    assert other.code == 2
-    assert "is of another person of the video; name another folder by -o, or add --overwrite" in other.err
+    assert (
+        "is of another person of the video; name another folder by -o, or add --overwrite"
+        in cli.refused(*options(walk, out), "--person", 2).err
+    )
     assert written(out) == before
     assert cli(*options(walk, out), "--person", 1).code == 0
 
 
 def test_a_folder_of_other_files_or_of_the_user_is_refused(cli: Any, walk: Path, tmp_path: Path, done: Path) -> None:
     other = write_keypoints(tmp_path / "other.npz", beside(walker(), 0.9, (50.0, 50.0)))
-    refused = cli(*options(other, done))
-    assert refused.code == 2
-    assert "was made from other files; name another folder by -o, or add --overwrite" in refused.err
+    assert (
+        "was made from other files; name another folder by -o, or add --overwrite"
+        in cli.refused(*options(other, done)).err
+    )
     (tmp_path / "mine" / "recording").mkdir(parents=True)
     (tmp_path / "mine" / "recording" / "notes.txt").write_text("mine")
     assert cli(*options(walk, tmp_path / "mine")).code == 2
@@ -115,10 +117,8 @@ def test_a_folder_of_other_files_or_of_the_user_is_refused(cli: Any, walk: Path,
 
 
 def test_the_recording_alone_is_written_and_says_what_comes_next(cli: Any, walk: Path, tmp_path: Path) -> None:
-    found = cli("run", walk, "--only", "recording", "--size", SIZE, "-o", tmp_path / "rec")
-    assert found.code == 0
-    assert f"rtof-kin reconstruct {tmp_path}/rec -o OUT" in found.out
-    assert "doubtful the take lasts 1.6 s" in found.out
+    found = cli.ok("run", walk, "--only", "recording", "--size", SIZE, "-o", tmp_path / "rec")
+    found.says(f"rtof-kin reconstruct {tmp_path}/rec -o OUT", "doubtful the take lasts 1.6 s")
     table = tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())
     assert table["name"] == "rec"
     assert {path.name for path in (tmp_path / "rec").iterdir()} == {
@@ -135,9 +135,9 @@ def test_two_people_are_chosen_without_detecting_again(
 ) -> None:
     given = write_keypoints(tmp_path / "two.npz", *pair())
     command = ["run", given, "--only", "recording", "--size", SIZE, "--height", 1.7, "-o", tmp_path / "rec"]
-    ask = cli(*command)
-    assert ask.code == 2
-    assert f"look at {tmp_path}/rec/frames.png and choose one with --person 1 or --person 2" in ask.err
+    assert (
+        f"look at {tmp_path}/rec/frames.png and choose one with --person 1 or --person 2" in cli.refused(*command).err
+    )
     before = written(tmp_path / "rec")["keypoints.npz"]
     assert cli(*command, "--person", 2).code == 0
     assert written(tmp_path / "rec")["keypoints.npz"] >= before
@@ -160,6 +160,4 @@ def test_bad_input_is_one_sentence_that_says_what_to_do(
     cli: Any, walk: Path, tmp_path: Path, arguments: tuple[object, ...], sentence: str
 ) -> None:
     given = [walk if argument == "WALK" else argument for argument in arguments]
-    found = cli(*given, "-o", tmp_path / "out")
-    assert found.code == 2
-    assert sentence in found.err
+    assert sentence in cli.refused(*given, "-o", tmp_path / "out").err

@@ -15,8 +15,7 @@ from report_support import Page
 def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Any) -> None:
     path = tmp_path / "page.html"
     labels = ("--subject", "P07", "--date", "2026-01-31", "--protocol", "jumps")
-    done = cli("report", reconstructed, "-o", path, *labels)
-    assert done.code == 0
+    done = cli.ok("report", reconstructed, "-o", path, *labels)
     assert str(path) in done.out
     page = Page(path.read_text(encoding="utf-8"))
     assert page.wrong == []
@@ -59,8 +58,7 @@ def test_summary_has_the_audit(reconstructed: Path) -> None:
 def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Path, cli: Any) -> None:
     folder = tmp_path / "study"
     command = ("study", stuck, "-o", folder, "--path", "ranked", "--workers", "1")
-    done = cli(*command)
-    assert done.code == 0
+    done = cli.ok(*command)
     for text in ("2 sensors: at most 4 reconstructions", "mean difference", "matters most", "0.517 s of"):
         assert text in done.out
     names = {path.name for path in folder.iterdir()}
@@ -82,8 +80,7 @@ def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Pat
         assert (path.stat().st_mtime_ns == kept[path.name]) == (path.stem != "01")
 
     # Results of other settings are refused, or replaced where that is wanted.
-    refused = cli(*command, "--frames", "60")
-    assert refused.code == 2
+    refused = cli.refused(*command, "--frames", "60")
     assert "other settings (settings)" in refused.err
     assert "--overwrite" in refused.err
     assert (folder / "study.csv").read_bytes() == table
@@ -94,7 +91,5 @@ def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("seconds", ["0", "-3", "nan"])
 def test_study_of_no_seconds_is_refused(stuck: Path, tmp_path: Path, cli: Any, seconds: str) -> None:
-    done = cli("study", stuck, "-o", tmp_path / "study", "--seconds", seconds)
-    assert done.code == 2
-    assert "seconds" in done.err
+    assert "seconds" in cli.refused("study", stuck, "-o", tmp_path / "study", "--seconds", seconds).err
     assert not (tmp_path / "study").exists()

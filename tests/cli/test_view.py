@@ -67,14 +67,10 @@ def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
 
 def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Path) -> None:
     folder = written(tmp_path / "old", walking(40))
-    done = cli("view", folder, "--html", tmp_path / "page.html", "--fps", 10)
-    assert done.code == 0, done.err
-    assert "No measurements.h5 beside the motion" in done.out
-    assert "Reconstruct again" in done.out
+    done = cli.ok("view", folder, "--html", tmp_path / "page.html", "--fps", 10)
+    done.says("No measurements.h5 beside the motion", "Reconstruct again")
     assert re.search(r"wrote .*page\.html: 0\.[89] MB, 8 frames at 10 Hz; opens in any browser", done.out)
-    again = cli("view", folder, "--html", tmp_path / "page.html")
-    assert again.code == 2
-    assert "--overwrite" in again.err
+    assert "--overwrite" in cli.refused("view", folder, "--html", tmp_path / "page.html").err
 
 
 def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) -> None:

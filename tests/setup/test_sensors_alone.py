@@ -14,9 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.sensors_alone import make_sensor_recording
-from rtof_kin.setup.settings import SetupSettings
-from rtof_kin.setup.sources import Sources
+from rtof_kin.setup.init import make_recording
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +32,7 @@ def files(worn: Worn, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, P
 
 
 def test_a_still_pose_gives_the_planted_mounting(worn: Worn, files: tuple[Path, Path], tmp_path: Path) -> None:
-    found = make_sensor_recording(Sources.of(files), SetupSettings(height=1.72), tmp_path / "rec")
+    found = make_recording(files, tmp_path / "rec", height=1.72)
     assert "the person stood in the N-pose from" in found.assumed[0]
     recording = Recording.load(tmp_path / "rec")
     assert recording.usual_mode == "imu"
@@ -52,7 +50,7 @@ def test_unnamed_sensors_without_a_video_need_a_map(files: tuple[Path, Path], tm
     unnamed = tmp_path / "unnamed.csv"
     unnamed.write_text("\n".join(lines).replace("Up", "x").replace("Low", "y").replace("Leg", "z"))
     with pytest.raises(InvalidInputError, match="it must be known which sensor is where; name their segments"):
-        make_sensor_recording(Sources.of([unnamed]), SetupSettings(), tmp_path / "rec")
+        make_recording([unnamed], tmp_path / "rec")
     assert not (tmp_path / "rec").exists()
 
 

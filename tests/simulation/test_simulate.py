@@ -10,6 +10,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.keypoint_noise import KeypointNoise, independent, keypoint_errors, unseen
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
 from rtof_kin.core import rotations as so3
@@ -27,7 +28,7 @@ from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.mocap import MocapClip, read_mocap
-from rtof_kin.simulation.noise import ORIENTATION_MEDIAN_DEG, ImuNoise, KeypointNoise
+from rtof_kin.simulation.noise import ORIENTATION_MEDIAN_DEG, ImuNoise
 from rtof_kin.simulation.simulate import (
     LIMB_SENSORS,
     SimulationSettings,
@@ -119,7 +120,7 @@ def test_independent_keypoints_outside_the_image_are_unseen() -> None:
     uv = near.project(POSES.p_world_joint)
     outside = ((uv < 0) | (uv > [1920, 1080])).any(axis=-1)
     assert 0.02 < outside.mean() < 0.5
-    settings = replace(SimulationSettings.independent(), video_lag_frames=(0.0, 0.0))
+    settings = replace(independent(), video_lag_frames=(0.0, 0.0))
     assert not simulated(settings, camera=near).video.seen[outside].any()
 
 
@@ -181,7 +182,7 @@ QUIET = replace(FIXED, bias_px=0, drift_px=0, white_px=0, outlier_share=(0.0, 0.
 
 
 def errors(noise: KeypointNoise, joints: list[str], times: Array = TIMES, seed: int = 0) -> Array:
-    return noises.keypoint_errors(np.random.default_rng(seed), times, joints, noise)
+    return keypoint_errors(np.random.default_rng(seed), times, joints, noise)
 
 
 @pytest.mark.parametrize(("joint", "memory", "size"), [("Hips", 0.5, 5.0), ("LeftHand", 0.3, 6.5)])
@@ -228,7 +229,7 @@ def test_a_person_who_leaves_the_image_is_lost_for_some_time() -> None:
     inside[3000:3010, 5] = False  # one joint
     lengths = []
     for seed in range(40):
-        lost = noises.unseen(np.random.default_rng(seed), TIMES, inside, FIXED)
+        lost = unseen(np.random.default_rng(seed), TIMES, inside, FIXED)
         assert lost[~inside].all()
         assert lost[2000:2600].all()
         assert not lost[2601:3000].any()
@@ -247,7 +248,7 @@ def test_parameters_are_drawn_anew_for_each_recording() -> None:
     assert KeypointNoise.white(5.0).drawn(np.random.default_rng(0)) == KeypointNoise.white(5.0)
     assert ImuNoise().drawn(np.random.default_rng(0)) != ImuNoise()
     assert ImuNoise.perfect().drawn(np.random.default_rng(0)) == ImuNoise.perfect()
-    lags = replace(SimulationSettings.independent(), sensors=())
+    lags = replace(independent(), sensors=())
     assert {simulated(lags, POSES[:20], seed=seed).first_frame for seed in range(20)} == {2, 3, 4}
 
 

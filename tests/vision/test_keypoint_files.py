@@ -196,35 +196,6 @@ def test_zeros_and_nan_are_undetected_and_large_confidences_are_clipped(tmp_path
     assert found.confidence.max() == 1.0
 
 
-ROWS = [[1, 2, 1]]
-ENTRY = '[{{"image_id": {}, "keypoints": [9, 9, 1]}}]'
-BROKEN: dict[str, tuple[str, Any, str]] = {
-    "no json": ("p.json", "{", "line 1: not readable as JSON"),
-    "not text": ("p.json", b"\xff\xfe\x00", "not a text file in UTF-8"),
-    "deep": ("p.json", "[" * 100000, "not readable as JSON"),
-    "number": ("p.json", "3", "holds a number"),
-    "text": ("p.json", '["a"]', "frame 0: holds text"),
-    "empty frames": ("p.json", '[{"people": []}]', "no person in any frame"),
-    "odd count": ("p.json", '[{"people": [{"keypoints": [1, 2, 3, 4]}]}]', "4 numbers are not x, y"),
-    "words": ("p.json", '[{"people": [{"keypoints": ["a", "b", "c"]}]}]', "its points are not"),
-    "no x": ("p.json", '[[{"x": 1, "y": 2}, {"y": 2}]]', "its points are not numbers"),
-    "huge number": ("p.json", f'[[{{"x": 1{"0" * 400}, "y": 2}}]]', "its points are not numbers"),
-    "no points": ("p.json", '[{"image_id": 1}]', "no person in any frame"),
-    "two layouts": ("p.json", json.dumps([[ROWS * 17], [ROWS * 18]]), "frame 1: a person has 18 points"),
-    "far frame": ("p.json", ENTRY.format(10**15), "numbered from 10+ to 10+"),
-    "negative": ("p.json", ENTRY.format(-1), "numbered from -1"),
-    "no image": ("p.json", ENTRY.format('"x.jpg"'), "has no number"),
-    "unknown table": ("p.json", '{"results": 3}', "'results' is no name of a frame"),
-    "no npz": ("p.npz", b"PK\x03\x04", "damaged, or no NPZ archive"),
-    "no npy": ("p.npy", b"\x93NUMPY\x01\x00", "not a NumPy array"),
-    "suffix": ("p.yaml", "a: 1", "not one of .json, .npz, .npy, .csv"),
-    "csv column": ("p.csv", "time,nose\n0,1\n", "column 'nose': expected time"),
-    "csv half": ("p.csv", "time,nose_x\n0,1\n", "point nose: has no column of y"),
-    "csv nothing": ("p.csv", "time\n0\n", "no column ends in _x or _y"),
-    "csv cell": ("p.csv", "nose_x,nose_y\n0,a\n", "line 2: column nose_y: 'a' is not a number"),
-}
-
-
 @pytest.mark.parametrize(
     "arrays, message",
     [

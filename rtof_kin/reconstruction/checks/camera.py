@@ -191,9 +191,7 @@ def check_camera_alone(
     image = check_image(recording, skeleton, lifter or shipped_lifter())
     stands = None
     if image.lifted is not None:
-        p, k = image.lifted.p_world_joint, image.keypoints
-        R = np.broadcast_to(np.eye(3), (*p.shape, 3))
-        stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
+        stands = standing(image.lifted.poses, image.keypoints, False)
     return _ordered(recording, image, skeleton, stands)
 
 

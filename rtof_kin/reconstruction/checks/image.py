@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
@@ -52,11 +53,10 @@ _SMALL = "the keypoints are of a picture 2 times smaller than the camera's"
 _MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appear"
 
 
-@dataclass(frozen=True)
-class Lifted:
+class Lifted(NamedTuple):
     """Keypoints as lifted."""
 
-    p_world_joint: Array  # (T, J, 3) m
+    poses: PoseSequence  # Positions; no orientations
     certainty: float  # Larger for keypoints as people have them; NaN of a lifter without uncertainties
 
 
@@ -69,11 +69,6 @@ class ImageExcerpt:
     bone_imus: BoneImuSequence | None  # The sensors at the same times
     checks: tuple[Check, ...]  # Of its orientation, its size, its sides
     small: str  # Cause of a wrong scale if points fill little of the image; else empty
-
-    @property
-    def wrong(self) -> str:
-        """The cause of the check that failed; empty where none did."""
-        return next((check.cause for check in self.checks if check.failed), "")
 
 
 def check_image(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> ImageExcerpt:
@@ -195,13 +190,14 @@ def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: Lift
     except InvalidInputError:
         return None
     p, seen = np.asarray(result.p_world_joint), keypoints.select(skeleton.names)
+    poses = PoseSequence(keypoints.times, p, np.broadcast_to(np.eye(3), (*p.shape, 3)), skeleton.names)
     off = np.linalg.norm(keypoints.camera.project(p) - seen.uv_px, axis=-1)
     spreads = [s[np.isfinite(s)] for s in (result.sigma_m, result.sigma_rad)]
     if not (np.isfinite(off).any() and all(s.size for s in spreads)):
-        return Lifted(p, np.nan)
+        return Lifted(poses, np.nan)
     reprojection = float(np.nanmedian(off)) / _extent(seen)
     logs = [float(np.log(s).mean()) for s in spreads]
-    return Lifted(p, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION))))
+    return Lifted(poses, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION))))
 
 
 def _extent(seen: KeypointSequence) -> float:

@@ -116,7 +116,10 @@ class PositionErrors:
         J = np.zeros((3, size))
         J[0, PITCH], J[2, ROLL] = _SEEN_PITCH, 1.0
         J[:, HEADING], J[1, RIGHT], J[0, DOWN] = camera.R_camera_world[:, 2], 1.0, -_SEEN_PITCH
-        rows += [(_rotation(scene, image), TURN * lasting(STEP * len(image.keypoints)), J)]
+        turn = np.full(3, np.nan)
+        if image.lifted is not None and image.bone_imus is not None:
+            turn = turn_of_image(image.bone_imus, scene.skeleton, image.keypoints.camera, image.lifted.poses)
+        rows += [(turn, TURN * lasting(STEP * len(image.keypoints)), J)]
         value, errors, J = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         weight = np.where(np.isfinite(value), 1 / errors**2, 0.0)
         S = np.sqrt(self.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
@@ -139,12 +142,3 @@ def _declared_sigma(recording: Recording) -> Array:
     if camera.uncertainty is not None:
         sigma[[*of_camera, HEADING]] = 0.0
     return sigma
-
-
-def _rotation(scene: Scene, image: ImageExcerpt) -> Array:
-    """Rotation vector (3,) of the image against the sensors, camera axes, rad; NaN where one is missing."""
-    if image.lifted is None or image.bone_imus is None:
-        return np.full(3, np.nan)
-    p, times = image.lifted.p_world_joint, image.keypoints.times
-    lifted = PoseSequence(times, p, np.broadcast_to(np.eye(3), (*p.shape, 3)), scene.skeleton.names)
-    return turn_of_image(image.bone_imus, scene.skeleton, image.keypoints.camera, lifted)

@@ -18,10 +18,11 @@ import numpy as np
 from rtof_kin.clinical.angle_table import AngleRow, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.core.choices import Mode
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import JobResult, Outcome, run_jobs
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import cleaned
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
