@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -34,7 +34,7 @@ import numpy as np
 from pydantic import Strict
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
-from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Setup, Trial, Visit, trial
+from rtof_kin.clinical.visits import Better, Movement, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.input_table import InputTable, Names
@@ -73,11 +73,11 @@ class Plan(InputTable):
     """The file ``follow.toml``."""
 
     baseline: str = ""
-    by: str = ""
+    by: Movement | None = None
     repetitions: str = ""
     measures: Names = ()
     visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
-    better: dict[str, str] = {}
+    better: dict[str, Better] = {}
 
     @property
     def names(self) -> dict[str, str]:
@@ -110,8 +110,6 @@ def read_plan(folder: str | Path) -> Plan:
     if not path.exists():
         return Plan()
     plan = Plan.read(path)
-    indices_of(f"direction in {path}, [better]", [*plan.better.values()], BETTERS)
-    indices_of(f"choice in {path}, by", [plan.by] if plan.by else [], MOVEMENTS)
     _ = plan.days  # raises if one is wrong
     return plan
 
@@ -183,8 +181,7 @@ def _trial(path: Path, visit: Path) -> Trial:
     with MotionReader(path) as reader:
         found = trial(visit.name if name == "." else name, reader)
         mode = reader.mode
-    view = _view(found, measurements_path(path.parent))
-    return Trial(**{**vars(found), "setup": _setup(summary, mode, view)})
+    return replace(found, setup=_setup(summary, mode, _view(found, measurements_path(path.parent))))
 
 
 def _setup(summary: Summary | None, mode: str, view: float) -> Setup:

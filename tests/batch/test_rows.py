@@ -60,14 +60,12 @@ def test_rows_are_escaped_and_linked(tmp_path: Path) -> None:
     assert page.index("weakly observed") < page.index(">e<")
 
 
-def test_very_many_rows_have_pages_and_old_pages_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROWS_PER_PAGE", 2)
+def test_the_page_has_the_worst_of_very_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_ROWS", 2)
     module.write_index(tmp_path, ROWS, 5, "takes")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["index-2.html", "index-3.html", "index.html"]
-    assert '<a href="index.html">1</a> <b>2</b> <a href="index-3.html">3</a>' in (tmp_path / "index-2.html").read_text(
-        encoding="utf-8"
-    )
-    module.write_index(tmp_path, ROWS[:2], 5, "takes")
-    assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "The page has the worst 2, batch.csv all." in page
+    assert "it fails" in page
+    assert "xxx" not in page
     module.write_index(tmp_path, [], 5, "takes")
     assert "0 of 5" in (tmp_path / "index.html").read_text(encoding="utf-8")
