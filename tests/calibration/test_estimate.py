@@ -225,8 +225,6 @@ def test_unobserved_quantities_are_zero() -> None:
     np.testing.assert_array_equal(result.apply(recording).video.times, recording.video.times)
 
 
-
-
 def test_bones_contradicting_the_height_cause_a_warning() -> None:
     tall = replace(recorded_in(), height=recorded_in().skeleton.height)
     ones = np.ones(1)
