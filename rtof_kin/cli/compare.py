@@ -129,7 +129,7 @@ def study(
     ],
     path: Literal["greedy", "ranked"] | None = None,
     seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
-    model: Model = None,
+    task: Model,
     workers: Workers = None,
     figures: Figures = True,
     settings: Annotated[ReconstructionSettings, SOLVER],
@@ -161,7 +161,7 @@ def study(
     camera = source.keypoints is not None
     settings = solver_settings(settings, paper, "rtof" if camera else "imu")
     greedy = {"greedy": True, "ranked": False}.get(path or "")
-    lifter = Lifter.load(model) if camera else None
+    lifter = Lifter.load(task.model) if camera else None
     runs = open_runs(output, identity_of(source, lifter, settings, seconds), overwrite, None, {})
     remove_results(output)
     sensors = len(source.imus.names) if source.imus is not None else 0
@@ -304,7 +304,7 @@ def plan(
     draws: Annotated[int, Parameter(metavar="N")] = 3,
     search: bool = True,
     seed: Seed = 0,
-    model: Model = None,
+    task: Model,
     workers: Workers = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -341,7 +341,7 @@ def plan(
         raise InvalidInputError("plan: name a protocol's file, a movement, a recording or a motion")
     if output is not None:
         check_replaceable(output, MARKER, overwrite)
-    lifter = Lifter.load(model)
+    lifter = Lifter.load(task.model)
     with progress() as update:
         protocol, setup = planned(str(what), lifter, update)
         found = predict(

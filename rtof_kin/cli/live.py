@@ -66,10 +66,10 @@ def live(
         tuple[Literal["delay", "heading", "mounting", "posture"], ...], Parameter(show_default=lambda _: "delay")
     ] = ("delay",),
     calibration: Annotated[Path | None, Parameter(metavar="FILE")] = None,
-    model: Model = None,
+    task: Model,
     seconds: Seconds = None,
     speed: Annotated[float, Parameter(metavar="X")] = 1.0,
-    model_dir: ModelDir = None,
+    detector: ModelDir,
     fetch_models: FetchModels = None,
     finish: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
 ) -> None:
@@ -120,13 +120,12 @@ def live(
     from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.settings import ReconstructionTask
 
     with ended_by_signals(), ExitStack() as stack:
         if output is not None:
             check_replaceable(output, INDEX)
         known = None if calibration is None else read_self_calibration_toml(calibration)
-        lifter: Any = ReconstructionTask(model=model).lifter()
+        lifter: Any = task.lifter()
         with without_warnings("rtof_kin.recording.cameras"):
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
@@ -137,7 +136,7 @@ def live(
                 take,
                 speed=speed,
                 names=map,
-                detector=lambda: detector_of(model_dir, fetch_models),
+                detector=lambda: detector_of(detector.model_dir, fetch_models),
             )
         for source in streams.sources:
             stack.callback(source.close)

@@ -224,7 +224,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    model_dir: ModelDir = None,
+    setup: ModelDir,
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
@@ -251,7 +251,7 @@ def detect(
         if video.isdigit():
             raise InvalidInputError("--camera-motion needs a video file, not a webcam")
         check_new_file(camera_motion, overwrite)
-    detector = detector_of(model_dir, fetch_models)
+    detector = detector_of(setup.model_dir, fetch_models)
     with progress() as update:
         found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
     write_detections(output, found, overwrite)

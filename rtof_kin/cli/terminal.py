@@ -76,9 +76,9 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], None]]:
-    """Show a bar over jobs with the time that remains, and a line for each that fails; yields a function of
-    (done, in all, last event).
+def job_progress(what: str = "measuring", shown: bool = True) -> Iterator[Callable[[int, int, str], None]]:
+    """Show a bar over jobs with the time that remains, and a line for each that fails or is skipped; yields a function
+    of (done, in all, last event).
     """
     columns = (
         TextColumn(what),
@@ -87,12 +87,12 @@ def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], 
         TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
     )
-    bar = Progress(*columns, console=err, speed_estimate_period=_LONG)
+    bar = Progress(*columns, console=err, speed_estimate_period=_LONG, disable=not shown)
     task = bar.add_task("jobs", total=None, last="")
 
     def update(done: int, total: int, last: str) -> None:
         bar.start()  # not before there are jobs: an error stands alone
-        if " failed: " in last:
+        if " failed: " in last or " skipped: " in last:
             bar.console.print(last, soft_wrap=True)
             last = ""
         bar.update(task, completed=done, total=total, last=last)
