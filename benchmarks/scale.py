@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
-from rtof_kin.batch.rows import ROWS_PER_PAGE, Row, RowFile
-from rtof_kin.batch.run import Batch, Place, Tables, run_batch
+from rtof_kin.batch.rows import Row, RowFile
+from rtof_kin.batch.run import SHARE, Batch, Place, run_batch, write_tables
 from rtof_kin.core.jobs import Processes
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak, resident_memory
 
@@ -151,9 +151,8 @@ def measure_table(folder: Path, count: int) -> TableCost:
     del rows
     reset_peak()
     before = resident_memory(os.getpid())
-    tables = Tables(folder, "takes", frozenset(names), place)
     began = time.process_time()
-    tables.write()
+    write_tables(folder, "takes", frozenset(names), place)
     seconds = time.process_time() - began
     sizes = [
         sum(p.stat().st_size for p in folder.glob(name)) / 1e6
@@ -242,9 +241,9 @@ def limits(cost: Cost, driver: Driver, table: TableCost, minutes: float) -> list
         f"- The cores. A recording of {minutes:g} min takes {core:.0f} s of one and {1e3 * own:.1f} ms of "
         f"the driver, which so keeps about {core / own:,.0f} cores busy.",
         f"- Then the table. For 10^6 rows, in proportion, it takes {seconds:.0f} s and {gb:.1f} GB each time "
-        f"it is written, and so is renewed every {seconds / Tables.SHARE / 60:.0f} min (at most "
-        f"{100 * Tables.SHARE:.0f} % of the time goes there); batch.csv has {table.csv_mb * scale:.0f} MB, "
-        f"the index {table.index_mb * scale:.0f} MB on {SIZES[1] // ROWS_PER_PAGE} pages. Shards keep their "
+        f"it is written, and so is renewed every {seconds / SHARE / 60:.0f} min (at most "
+        f"{100 * SHARE:.0f} % of the time goes there); batch.csv has {table.csv_mb * scale:.0f} MB, "
+        f"the index {table.index_mb:.0f} MB. Shards keep their "
         "rows apart, but the table is one: above some 10^5 recordings give each study an OUT of its own.",
         f"- Files. {SIZES[1]:,} recordings are as many folders of about 25 files: the metadata server of a "
         "shared file system, and its number of inodes, are the limit, not the bytes. `--no-figures` and a "

@@ -106,7 +106,7 @@ def case_of(result: Reconstruction, clip: MocapClip, camera: int, keypoints: str
     carriers = () if result.bone_imus is None else result.bone_imus.joints
     stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
-    apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
+    apart = Disagreement(*(d[::EVERY] for d in disagreement(result.motion.poses, start, solution.confidence.pairs)))
     p_camera_joint = motion.poses.p_world_joint - result.keypoints.camera.center_world
     true = at_times(truth, motion.times)
     return Case(f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint, clip.rig)

@@ -29,8 +29,7 @@ class CartesianScene:
             InvalidInputError: the settings are not those of the energy as printed.
         """
         s = settings
-        printed = s.bone_lengths == "free" and s.prior == "positions" and s.jerk_target == "sensor"
-        if not printed or s.huber_reprojection is not None or s.sigma_reprojection is None:
+        if not s.as_printed or s.huber_reprojection is not None or s.sigma_reprojection is None:
             raise InvalidInputError("peers have the printed energy only: use CartesianSettings.paper()")
         m, self.settings, self.frames = material, settings, frames
         self.start = refit_root(m.start, m.keypoints) if s.refit_root else m.start

@@ -114,59 +114,40 @@ def _line(run: int, row: Row) -> str:
     return json.dumps({"run": run, "row": row.plain()}, separators=(",", ":")) + "\n"
 
 
-ROWS_PER_PAGE: Final = 10_000
+MOST_ROWS: Final = 10_000  #: On the page, which a browser still opens at once: it lays out only rows in sight
 INDEX_PAGE: Final = "index.html"
 _COLUMNS: Final = ("Verdict", "Recording", "Why", "Motion", "Work", "Output")
 _GRADES: Final = {ERROR: "fail", DONE: "pass"}  #: Colours of verdicts that are no grades
 
 
 def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None:
-    """Write ``index.html``, and ``index-2.html`` and so on where there are very many recordings, worst first.
-
-    Pages are single files that open offline and without a script. The browser does not lay out rows that are out of
-    sight, so that ten thousand open at once.
+    """Write ``index.html``, a single file that opens offline and without a script: rows worst first, `MOST_ROWS` of
+    very many.
     """
-    pages = [rows[k : k + ROWS_PER_PAGE] for k in range(0, len(rows), ROWS_PER_PAGE)] or [()]
-    for number, part in enumerate(pages, start=1):
-        found = document(part, rows, total, source, number, len(pages))
-        page = render("document.html", ("page.css", "document.css", "batch.css"), document=found, images={})
-        write_text(out / _page_name(number), page, overwrite=True)
-    number = len(pages) + 1
-    while (left := out / _page_name(number)).is_file():  # of a run with more recordings
-        left.unlink()
-        number += 1
+    found = document(rows, total, source)
+    page = render("document.html", ("page.css", "document.css", "batch.css"), document=found, images={})
+    write_text(out / INDEX_PAGE, page, overwrite=True)
 
 
-def document(
-    part: Sequence[Row], rows: Sequence[Row], total: int, source: str, number: int = 1, pages: int = 1
-) -> Document:
-    """Return a batch, or the part of its rows for one page, as a document."""
+def document(rows: Sequence[Row], total: int, source: str) -> Document:
+    """Return a batch as a document."""
     counts = Counter(row.verdict for row in rows)
     waiting = f"; {total - len(rows)} are not done" if len(rows) < total else ""
+    more = f" The page has the worst {MOST_ROWS}, batch.csv all." if len(rows) > MOST_ROWS else ""
     minutes, hours = sum(row.duration_s for row in rows) / 60, sum(row.seconds for row in rows) / 3600
-    links = [
-        Markup("<b>{}</b>").format(k) if k == number else Markup('<a href="{}">{}</a>').format(_page_name(k), k)
-        for k in range(1, pages + 1)
-    ]
     badges = [
         Markup('<span class="grade {}">{}</span> {}').format(_badge(verdict).grade, verdict, counts[verdict])
         for verdict in WORST_FIRST
         if counts[verdict]
     ]
-    lead = Markup("<p>{}</p>").format(Markup(" ").join(badges))
-    if pages > 1:
-        lead += Markup('<nav aria-label="pages">Page {}</nav>').format(Markup(" ").join(links))
     return Document(
         "index",
         f"Batch of {source}",
-        f"{len(rows)} of {total} recordings{waiting}. {minutes:.1f} minutes of motion, {hours:.2f} hours of work.",
-        sections=[Section("recordings", "", [Table(_COLUMNS, list(map(_cells, part)), kind="batch")])],
-        lead=lead,
+        f"{len(rows)} of {total} recordings{waiting}. {minutes:.1f} minutes of motion, {hours:.2f} hours of work."
+        f"{more}",
+        sections=[Section("recordings", "", [Table(_COLUMNS, list(map(_cells, rows[:MOST_ROWS])), kind="batch")])],
+        lead=Markup("<p>{}</p>").format(Markup(" ").join(badges)),
     )
-
-
-def _page_name(number: int) -> str:
-    return INDEX_PAGE if number == 1 else f"index-{number}.html"
 
 
 def _badge(verdict: str) -> Badge:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import secrets
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import astuple, dataclass, field, fields
 from functools import partial
@@ -170,9 +170,10 @@ def _run(batch: Batch, place: Place, command: Command, engine: Engine, report: P
     rows = RowFile(place.rows_file, place.run, before)
     ended = {name for name, (_, row) in before.items() if row.verdict != ERROR}
     own.sort(key=lambda entry: entry.name in ended)  # what is new comes first
-    title = batch.source.resolve().name
-    tables = Tables(batch.out, title, frozenset(entry.name for entry in batch.entries), place)
-    tables.write()
+    write = partial(
+        write_tables, batch.out, batch.source.resolve().name, {entry.name for entry in batch.entries}, place
+    )
+    due = write()
     report(0, len(own), f"{len(ended)} of {len(own)} have a result; it is checked" if ended else "")
     done = 0
     try:
@@ -187,10 +188,10 @@ def _run(batch: Batch, place: Place, command: Command, engine: Engine, report: P
                     raise WritingError(
                         f"{batch.out}: the disk is full ({failed}); make room, and the same command goes on"
                     )
-                if time.monotonic() >= tables.due:
-                    tables.write()
+                if time.monotonic() >= due:
+                    due = write()
     finally:
-        tables.write()
+        write()
     return [rows.rows[entry.name][1] for entry in batch.entries if entry.name in names]
 
 
@@ -211,29 +212,20 @@ def _tasks(
         yield entry.name, Task(entry.name, folder, out, place.token, absolute, made_from, batch.version)
 
 
-class Tables:
-    """The table and the index, which are written now and then and at the end."""
+PAUSE: Final = 10.0  #: [s] between two writings of the tables
+SHARE: Final = 0.05  #: Share of the time that writing may take at most, so that long tables are written less often
 
-    PAUSE: Final = 10.0  #: [s] between two writings
-    SHARE: Final = 0.05  #: Share of the time that writing may take at most, so that long tables are written less often
 
-    def __init__(self, out: Path, title: str, names: frozenset[str], place: Place):
-        """Take the folder of the batch, the names of its source and of all its recordings, and its books."""
-        self.out, self.title, self.names, self.place = out, title, names, place
-        self.due = time.monotonic() + self.PAUSE
-
-    def write(self) -> None:
-        """Write them with the rows of all shards."""
-        began = time.monotonic()
-        with FileLock(self.place.out / BOOKS / "table.lock"):  # shards wait for each other
-            found = self.place.rows()
-            rows = [row for name, (_, row) in sorted(found.items()) if name in self.names]
-            columns = [column.name for column in fields(Row)]
-            write_csv(self.out / TABLE, Table(columns, [astuple(row) for row in rows]))
-            worst_first = sorted(rows, key=lambda row: row.severity)
-            write_index(self.out, worst_first, len(self.names), self.title)
-        took = time.monotonic() - began
-        self.due = time.monotonic() + max(self.PAUSE, took / self.SHARE)
+def write_tables(out: Path, title: str, names: Collection[str], place: Place) -> float:
+    """Write the table and the index of some recordings with the rows of all shards; return when they are due again."""
+    began = time.monotonic()
+    with FileLock(place.out / BOOKS / "table.lock"):  # shards wait for each other
+        rows = [row for name, (_, row) in sorted(place.rows().items()) if name in names]
+        columns = [column.name for column in fields(Row)]
+        write_csv(out / TABLE, Table(columns, [astuple(row) for row in rows]))
+        write_index(out, sorted(rows, key=lambda row: row.severity), len(names), title)
+    now = time.monotonic()
+    return now + max(PAUSE, (now - began) / SHARE)
 
 
 Check = Callable[[list[str]], object]  #: Raises an error of the package for a command line that is wrong

@@ -63,7 +63,7 @@ def live(
         OnlineSettings, Fields(rate_hz="fps", lag_s="lag", video_delay_s="video-delay", defaults={"lag_s": 0.25})
     ],
     refine: Annotated[
-        tuple[Literal["delay", "heading", "mounting", "posture"], ...], Parameter(show_default=lambda _: "delay")
+        tuple[Literal["delay", "heading", "mounting"], ...], Parameter(show_default=lambda _: "delay")
     ] = ("delay",),
     calibration: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     task: Model,
@@ -95,7 +95,7 @@ def live(
             may be given several times
         browser: show the skeleton in the browser
         refine: what is refined while the person moves: delay (of the video), heading, mounting (of the sensors),
-            posture, with commas between, or none; with -o into FOLDER/calibration.toml. Open more than the delay where
+            with commas between, or none; with -o into FOLDER/calibration.toml. Open more than the delay where
             it is known to be wrong
         calibration: of an earlier session, that --refine begins with
         speed: of replayed recordings and videos, times real time; inf: as fast as they are estimated

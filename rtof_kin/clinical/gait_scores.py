@@ -167,18 +167,16 @@ def _root(squares: Array) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def people_scores(reference: GaitReference) -> tuple[Array, Array] | None:
-    """Return scores of the reference's own people, each against the mean of the others; None without curves.
-
-    Returns:
-        Variable scores (N, 2, 9) and profile scores (N, 2), rad, right and left.
+def people_scores(reference: GaitReference) -> Array | None:
+    """Return scores (N, 2, 10), rad, of the reference's own people, each against the mean of the others: nine variable
+    scores and the profile score, right and left; None without curves.
     """
     if reference.curves is None or len(reference.curves) < 2:
         return None
     own, count = reference.curves, len(reference.curves)
     others = (own.sum(axis=0) - own).mean(axis=1, keepdims=True) / (count - 1)
     squares = np.mean((own - others) ** 2, axis=-1)
-    return np.sqrt(squares), np.sqrt(squares.mean(axis=-1))
+    return np.asarray(np.sqrt(np.concatenate([squares, squares.mean(axis=-1, keepdims=True)], axis=-1)))
 
 
 VARIANCE: Final = 0.98  #: Share of the reference's variance that the features have

@@ -140,20 +140,14 @@ def range_deviation(low_sigma: float, high_sigma: float) -> float:
     return float(np.hypot(low_sigma, high_sigma))
 
 
-def angular_velocity(angles: ClinicalAngles) -> Array:
-    """Return time derivatives (T, A) of clinical angles, rad/s; NaN where singular, unknown or unreliable; angles: to
-    smooth and differentiate; single frames between gaps have no velocity.
+def angular_velocity(angles: ClinicalAngles, column: int) -> Array:
+    """Return the time derivative (T,) of one angle, rad/s, smoothed; NaN where it is singular, unknown or unreliable;
+    single frames between gaps have no velocity.
     """
-    rate_hz = angles.rate_hz
-    return np.stack([_velocity(angles, column, rate_hz) for column in range(len(angles.rows))], axis=1)
-
-
-def _velocity(angles: ClinicalAngles, column: int, rate_hz: float) -> Array:
-    """(T,) time derivative of one angle, rad/s."""
     values, out = _usable(angles, column), np.full(len(angles), np.nan)
     for start, stop in signals.runs(np.isfinite(values)):
         if stop - start > 1:
-            stretch = smoothed(values[start:stop], rate_hz, CUTOFF_HZ)
+            stretch = smoothed(values[start:stop], angles.rate_hz, CUTOFF_HZ)
             out[start:stop] = np.gradient(stretch, angles.times[start:stop])
     return out
 
@@ -174,13 +168,10 @@ def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
 
 def ranges_of_motion(angles: ClinicalAngles) -> tuple[RangeOfMotion, ...]:
     """Return the range of motion of each angle, in their order."""
-    rate_hz = angles.rate_hz
-    return tuple(
-        _range(angles, column, np.abs(_velocity(angles, column, rate_hz))) for column in range(len(angles.rows))
-    )
+    return tuple(_range(angles, column) for column in range(len(angles.rows)))
 
 
-def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
+def _range(angles: ClinicalAngles, column: int) -> RangeOfMotion:
     row, known = angles.rows[column], np.isfinite(angles.values[:, column])
     trusted, singular = angles.trusted_angle(column), angles.singular[:, column]
     values, nan = _usable(angles, column), float("nan")
@@ -190,6 +181,7 @@ def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
     if not np.isfinite(values).any():
         return RangeOfMotion(row.name, nan, nan, nan, nan, nan, nan, **shares)
     low, high = int(np.nanargmin(values)), int(np.nanargmax(values))
+    speed = np.abs(angular_velocity(angles, column))
     peak = float(np.nanmax(speed)) if np.isfinite(speed).any() else nan
     ends = (nan, nan) if angles.sigma is None else angles.sigma[[low, high], column].tolist()
     return RangeOfMotion(

@@ -219,7 +219,6 @@ SCALES: Final = {"deg": float(np.degrees(1.0)), "%": 100.0, "s": 1.0, "m": 1.0, 
 """Unit of output -> its number in the unit of computation (rad, share, s, m, m/s, steps/min)."""
 STATISTICS: Final = {"mean": "mean", "range": "range", "max": "high", "min": "low"}
 """End of a measure's name -> method of `Samples`."""
-_SYMMETRIC: Final = ("stride_time", "stride_length", "stance_share")
 _UNITS: Final = {"stride_time": "s", "stride_length": "m", "stance_share": "%"}
 
 
@@ -273,27 +272,25 @@ def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Me
 
 def _gait(trial: Trial) -> dict[Measure, Measured]:
     gait, sigma = trial.analysis.gait, trial.stride_sigma
-    moving = not gait.verdict.on_the_spot
     out = {}
     if gait.counted:
         out[Measure("gait_cadence", "steps/min")] = _over(gait.counted, "cadence")
-        if moving:
-            speeds = [sigma[s] / s.stride_time for s in gait.counted if s in sigma]
-            out[Measure("gait_speed", "m/s")] = _over(gait.counted, "speed", speeds)
+        speeds = [sigma[s] / s.stride_time for s in gait.counted if s in sigma]
+        out[Measure("gait_speed", "m/s")] = _over(gait.counted, "speed", speeds)
     for side in SIDES:
         own = [stride for stride in gait.counted if stride.side == side]
         for name, unit in _UNITS.items() if own else ():
-            if name != "stride_length" or moving:
-                stated = [sigma[s] for s in own if s in sigma] if name == "stride_length" else []
-                out[Measure(f"{side}_{name}", unit)] = _over(own, name, stated)
-    for name in _SYMMETRIC:
-        value = gait.symmetry.get(name, float("nan"))
-        if np.isfinite(value) and (name != "stride_length" or moving):
+            stated = [sigma[s] for s in own if s in sigma] if name == "stride_length" else []
+            out[Measure(f"{side}_{name}", unit)] = _over(own, name, stated)
+    for name in _UNITS:
+        if np.isfinite(value := gait.symmetry.get(name, float("nan"))):
             sides = [own for measure, own in out.items() if measure.name in [f"{side}_{name}" for side in SIDES]]
             band = 0.0  # of (right - left) / mean, as of independent errors of the sides
             if all(own.band_sigma > 0 for own in sides):
                 band = float(np.sqrt(sum(own.band_sigma**2 for own in sides)) / np.mean([own.mean for own in sides]))
             out[Measure(f"{name}_symmetry", "%")] = Measured(np.array([value]), band)
+    if gait.verdict.on_the_spot:
+        return {one: value for one, value in out.items() if "stride_length" not in one.name and one.unit != "m/s"}
     return out
 
 

@@ -26,9 +26,8 @@ _HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
 class Door:
     """Lets in who has the token; for servers of the package ``websockets``."""
 
-    def __init__(self, host: str = LOOPBACK):
+    def __init__(self) -> None:
         """Make a token."""
-        self._host = host.lower()
         self._token, self._ticket = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
 
     @property
@@ -65,7 +64,7 @@ class Door:
         if found is None:
             return False
         name = found[1].strip("[]").lower()
-        if name in ("localhost", self._host):
+        if name == "localhost":
             return True
         try:
             ipaddress.ip_address(name)

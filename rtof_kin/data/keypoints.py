@@ -141,16 +141,8 @@ class KeypointSequence:
 
     @property
     def landmarks(self) -> Self:
-        """The skeleton's landmarks alone."""
-        return self._of_detector(False)
-
-    @property
-    def detector_points(self) -> Self:
-        """The detector's own points alone; there may be none."""
-        return self._of_detector(True)
-
-    def _of_detector(self, wanted: bool) -> Self:
-        kept = [i for i, name in enumerate(self.names) if bool(layout_and_point(name)[0]) == wanted]
+        """The skeleton's landmarks alone, without the detector's own points."""
+        kept = [i for i, name in enumerate(self.names) if not layout_and_point(name)[0]]
         if len(kept) == len(self.names):
             return self
         names = tuple(self.names[i] for i in kept)

@@ -63,31 +63,19 @@ class ActionMotion:
         set_(self, "joint_offsets", readonly("joint_offsets", self.joint_offsets, (17, 3)))
 
 
-class Human36M:
-    """The recordings of one folder. Files are read when first needed.
-
-    Attributes:
-        root: the folder. skeleton: the 17-joint skeleton of the package.
-    """
+class Human36M(Archives):
+    """The recordings of one folder."""
 
     def __init__(self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt") -> None:
-        """Name the files.
-
-        Args:
-            root: folder with ``data_3d_h36m.npz`` and ``data_2d_h36m_<keypoints>.npz``.
-            cameras: file of cameras; by default ``camera-parameters.json`` or ``h36m_dataset.py`` in `root`.
-            keypoints: 'gt' for projected joints, else the detector's part of the file name.
-        """
-        self.root = Path(root)
-        self.skeleton = _shipped()
-        self._archives = Archives(self.root, None if cameras is None else Path(cameras), keypoints)
+        """See `Archives`."""
+        super().__init__(root, cameras, keypoints)
+        self.skeleton = _shipped()  #: The 17-joint skeleton of the package
         self._offsets: dict[str, Array] = {}
 
     @property
     def sequences(self) -> tuple[tuple[str, str], ...]:
         """(subject, action) of every motion, subjects by number, actions by name."""
-        motions = self._archives.all_positions
-        return tuple((subject, a) for subject in by_number(motions) for a in sorted(motions[subject]))
+        return tuple((one, a) for one in by_number(self.all_positions) for a in sorted(self.all_positions[one]))
 
     def motion(self, subject: str, action: str) -> ActionMotion:
         """Return the positions of an action and the subject's body.
@@ -96,7 +84,7 @@ class Human36M:
             UnknownNameError: no such subject or action. FileFormatError: this action is corrupt.
             UnitError: positions are not in metres.
         """
-        p = self._archives.positions(subject, action)
+        p = self.positions(subject, action)
         offsets = self._offsets_of(subject)
         own = bone_lengths(self.skeleton, _whole(p))
         usual = np.linalg.norm(offsets, axis=-1)
@@ -104,7 +92,7 @@ class Human36M:
         if len(wrong):
             bone = int(wrong[0])
             raise FileFormatError(
-                self._archives.path_3d,
+                self.path_3d,
                 f"{subject} {action!r}: the bone that ends at {self.skeleton.names[bone]} is {own[bone]:.3f} m long, "
                 f"but {usual[bone]:.3f} m in all of the subject's actions together; get the archive again",
             )
@@ -124,8 +112,7 @@ class Human36M:
             UnknownNameError: no such subject, action or camera. FileFormatError: a corrupt entry.
             CalibrationError: the cameras do not belong to the keypoints and positions.
         """
-        cam = self._archives.camera(subject, camera)
-        uv = self._archives.keypoints(subject, action, camera)
+        cam, uv = self.camera(subject, camera), self.keypoints(subject, action, camera)
         motion = self.motion(subject, action)
         frames = min(len(uv), len(motion.p_world_joint))
         p, uv, skeleton = motion.p_world_joint[:frames], uv[:frames], self.skeleton
@@ -145,7 +132,7 @@ class Human36M:
 
     def _remark(self, subject: str, action: str, camera: int, error_px: Array) -> str:
         """Return a note about large reprojection errors, or raise if the camera is wrong."""
-        archives, projected = self._archives, self._archives.kind == "gt"
+        projected = self.kind == "gt"
         limit = _LIMIT_GT_PX if projected else _LIMIT_DETECTED_PX
         median = _median(error_px)
         if median < limit:
@@ -159,19 +146,19 @@ class Human36M:
             )
         raise CalibrationError(
             f"{what} the keypoints in the median, more than {limit:g}: the cameras of "
-            f"{archives.path_cameras} do not belong to these keypoints ({archives.path_2d}), or a unit "
+            f"{self.path_cameras} do not belong to these keypoints ({self.path_2d}), or a unit "
             "is wrong (positions are in m, cameras in mm, keypoints in px of the whole image)"
         )
 
     def _other_errors(self, subject: str, action: str, camera: int) -> Array:
         """Return reprojection errors, px, in a few frames of each of the subject's other actions."""
-        cam, errors = self._archives.camera(subject, camera), [np.zeros(0)]
-        for other in self._archives.all_positions[subject]:
+        cam, errors = self.camera(subject, camera), [np.zeros(0)]
+        for other in self.all_positions[subject]:
             if other == action:
                 continue
             try:
-                p = self._archives.positions(subject, other)
-                uv = self._archives.keypoints(subject, other, camera)
+                p = self.positions(subject, other)
+                uv = self.keypoints(subject, other, camera)
             except RtofError:
                 continue
             frames = min(len(p), len(uv))
@@ -183,9 +170,9 @@ class Human36M:
         """Return joint offsets from all of a subject's readable actions."""
         if subject not in self._offsets:
             parts = []
-            for action in self._archives.all_positions[subject]:
+            for action in self.all_positions[subject]:
                 try:
-                    parts.append(_whole(self._archives.positions(subject, action)))
+                    parts.append(_whole(self.positions(subject, action)))
                 except FileFormatError:
                     continue
             p = np.concatenate(parts)
@@ -193,8 +180,7 @@ class Human36M:
             low, high = _PLAUSIBLE_THIGH
             if not low < thigh < high:
                 raise UnitError(
-                    f"{self._archives.path_3d}: {subject}: the right thigh is {thigh:.3g} m long; "
-                    "positions must be in metres"
+                    f"{self.path_3d}: {subject}: the right thigh is {thigh:.3g} m long; positions must be in metres"
                 )
             self._offsets[subject] = measured_offsets(self.skeleton, p)
         return self._offsets[subject]

@@ -182,12 +182,18 @@ class Archives:
         path_3d, path_2d: of the archives of positions and keypoints.
     """
 
-    def __init__(self, root: Path, cameras: Path | None, keypoints: str) -> None:
-        """Name the files; see `rtof_kin.datasets.human36m.Human36M`."""
-        self.root, self.kind = root, keypoints
-        self.path_3d = root / "data_3d_h36m.npz"
-        self.path_2d = root / f"data_2d_h36m_{keypoints}.npz"
-        self._named_cameras = cameras
+    def __init__(self, root: str | Path, cameras: str | Path | None = None, keypoints: str = "gt") -> None:
+        """Name the files.
+
+        Args:
+            root: folder with ``data_3d_h36m.npz`` and ``data_2d_h36m_<keypoints>.npz``.
+            cameras: file of cameras; by default ``camera-parameters.json`` or ``h36m_dataset.py`` in `root`.
+            keypoints: 'gt' for projected joints, else the detector's part of the file name.
+        """
+        self.root, self.kind = Path(root), keypoints
+        self.path_3d = self.root / "data_3d_h36m.npz"
+        self.path_2d = self.root / f"data_2d_h36m_{keypoints}.npz"
+        self._named_cameras = None if cameras is None else Path(cameras)
 
     @property
     def path_cameras(self) -> Path:

@@ -68,7 +68,6 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
         UnitError: a camera is too far away for metres.
         InvalidInputError: invalid `up` or `metres_per_unit`.
     """
-    R_world_file = world_of_file(up, metres_per_unit)
     data, inside = load_toml(path), ""
     if isinstance(data.get("cameras"), dict) and not _is_camera(data["cameras"]):
         data, inside = data["cameras"], "cameras."
@@ -80,7 +79,7 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
         name = key if table.name is None else table.name
         if name in cameras:
             raise table.error("name", f"{name!r} is another camera's already; give each its own")
-        cameras[name] = _camera(table, R_world_file, metres_per_unit)
+        cameras[name] = _camera(table, up, metres_per_unit)
     if not cameras:
         raise FileFormatError(
             path, "no camera in it: no table has both size and matrix; give a file of camera calibrations"
@@ -92,37 +91,51 @@ def _is_camera(fields: Any) -> bool:
     return isinstance(fields, dict) and ("matrix" in fields or "size" in fields)
 
 
-def _camera(table: CameraOfTool, R_world_file: Array, metres_per_unit: float) -> Camera:
+def _camera(table: CameraOfTool, up: str, metres_per_unit: float) -> Camera:
     if table.fisheye:
         raise table.error("fisheye", "a fisheye lens is no pinhole camera; undistort the images first")
-    t = checked_distance(f"{table.path}: {table.where('translation')}", table.translation.ravel(), metres_per_unit)
-    rotation = table.rotation.ravel()
+    rotation, where = table.rotation.ravel(), table.where("").strip()
     R = so3.exp(rotation) if len(rotation) == 3 else rotation.reshape(3, 3)
-    width, height = table.size
-    try:
-        return Camera(
-            table.matrix,
-            R @ R_world_file.T,
-            t,
-            round(width),
-            round(height),
-            np.pad(table.distortions, (0, 5 - len(table.distortions))),
-            table.assumed,
-        )
-    except InvalidInputError as error:
-        raise FileFormatError(table.path, f"{table.where('').strip()}: {error}") from error
+    pose, (width, height) = (R, table.translation.ravel()), table.size
+    return camera_in_world(
+        table.path, where, up, metres_per_unit, table.matrix, pose, (width, height), table.distortions, table.assumed
+    )
 
 
-def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
-    """Convert a camera's translation (3,) in the file's unit to metres; more than `FURTHEST` is a `UnitError`."""
-    t = t * metres_per_unit
+def camera_in_world(
+    path: str | Path,
+    where: str,
+    up: str,
+    metres_per_unit: float,
+    K: Array,
+    pose: tuple[Array, Array],
+    size_px: tuple[float, float],
+    distortion: Array,
+    assumed: tuple[str, ...] = (),
+) -> Camera:
+    """Return a camera of a file in a world with z up, m.
+
+    Args:
+        path, where: file and place in it, for errors. up, metres_per_unit: see `world_of_file`.
+        pose: R_camera_file (3, 3) and t (3,) in the file's unit. distortion: OpenCV's first coefficients, at most 5.
+
+    Raises:
+        FileFormatError: no camera has these numbers. UnitError: it is more than `FURTHEST` from the origin.
+        InvalidInputError: invalid `up` or `metres_per_unit`.
+    """
+    R_world_file, t = world_of_file(up, metres_per_unit), pose[1] * metres_per_unit
     far = float(np.linalg.norm(t))
     if far > FURTHEST:
         raise UnitError(
-            f"{where}: the camera is {far:.0f} m away from the origin; give metres_per_unit, "
+            f"{path}: {where}: the camera is {far:.0f} m away from the origin; give metres_per_unit, "
             f"{0.001 * metres_per_unit:g} if the file has mm"
         )
-    return t
+    width, height = map(round, size_px)
+    distortion = np.pad(distortion, (0, 5 - len(distortion)))
+    try:
+        return Camera(K, pose[0] @ R_world_file.T, t, width, height, distortion, assumed)
+    except InvalidInputError as error:
+        raise FileFormatError(path, f"{where}: {error}") from error
 
 
 def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:

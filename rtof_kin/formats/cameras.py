@@ -41,12 +41,12 @@ import yaml
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.pickles import read_pickle
 from rtof_kin.core.files.text import LARGEST_NUMBER, measurable, read_text
 from rtof_kin.data.camera import Camera
-from rtof_kin.formats.camera_toml import checked_distance, read_camera_toml
-from rtof_kin.formats.world_axes import UP, world_of_file
+from rtof_kin.formats.camera_toml import camera_in_world, read_camera_toml
+from rtof_kin.formats.world_axes import UP
 
 MILLIMETRE: Final = 0.001
 USUAL_NAME: Final = "cameraIntrinsicsExtrinsics"
@@ -75,13 +75,8 @@ def read_opencap(path: str | Path, *, up: str | None = None, metres_per_unit: fl
         raise FileFormatError(path, f"no camera of OpenCap: it has no {', '.join(lacking)}")
     K, distortion, size, R, t = (_numbers(path, content, name) for name in _SIZES)
     R = R.reshape(3, 3)
-    R_world_file = world_of_file(up or _upward(path, R), metres_per_unit)
-    t = checked_distance(f"{path}: translation", t, metres_per_unit)
-    height, width = (round(float(n)) for n in size)
-    try:
-        camera = Camera(K.reshape(3, 3), R @ R_world_file.T, t, width, height, distortion)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
+    pose, width_height, up = (R, t), (size[1], size[0]), up or _upward(path, R)
+    camera = camera_in_world(path, "camera", up, metres_per_unit, K.reshape(3, 3), pose, width_height, distortion)
     named = path.stem if path.stem != USUAL_NAME else path.absolute().parent.name
     return {named: camera}
 
@@ -150,7 +145,6 @@ def read_opencv_yaml(
         UnitError: a camera is too far away for metres.
         InvalidInputError: invalid `up` or `metres_per_unit`.
     """
-    R_world_file = world_of_file(up, metres_per_unit)
     content = _load_yaml(Path(path))
     if extrinsics is not None:
         content |= _load_yaml(Path(extrinsics))
@@ -166,15 +160,9 @@ def read_opencv_yaml(
                 "missing, so the world is this camera's own axes, and z is its viewing direction; "
                 "add R and T, or declare up='-y' for a level camera",
             )
-        R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
-        t = checked_distance(f"{path}: {name}, T", t, metres_per_unit)
-        width, height = size_px or entries.size()
-        K, distortion = entries.array("matrix", 9).reshape(3, 3), entries.distortion()
-        assumed = ("pose",) if R is None else ()
-        try:
-            cameras[name] = Camera(K, R_camera_world, t, width, height, distortion, assumed)
-        except InvalidInputError as error:
-            raise FileFormatError(path, f"{name}: {error}") from error
+        K, distortion, size = entries.array("matrix", 9).reshape(3, 3), entries.distortion(), size_px or entries.size()
+        pose, assumed = (np.eye(3) if R is None else R, t), ("pose",) if R is None else ()
+        cameras[name] = camera_in_world(path, name, up, metres_per_unit, K, pose, size, distortion, assumed)
     return cameras
 
 
@@ -325,7 +313,7 @@ class _Entries:
                 f"{len(given)} coefficients, of which only the first five are "
                 "modelled; calibrate with five, or undistort the images first",
             )
-        return np.pad(given[:5], (0, max(5 - len(given), 0)))
+        return given[:5]
 
 
 READERS: Final[dict[str, Callable[..., dict[str, Camera]]]] = {

@@ -242,8 +242,6 @@ class OnlineEstimator:
         found = refinement.step(float(self._time(self._window.first)) + self._delay_s)
         self._delay_s = self.settings.video_delay_s + found.delay
         self._sensors.correct(found.heading, found.R_mounting)
-        if found.posture:
-            self._window.prefer(found.posture)
 
     def _iterate(self, iterations: int) -> None:
         try:

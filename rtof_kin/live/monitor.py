@@ -228,9 +228,9 @@ class _Stream:
 class Monitor:
     """Follows all streams: `update` takes every sample, `check` returns what has changed."""
 
-    def __init__(self, sensors: Sequence[str] = (), camera: bool = False, patience_s: float = 3.0):
+    def __init__(self, sensors: Sequence[str] = (), patience_s: float = 3.0):
         """Begin to wait for streams. `patience_s`: after which a stream that does not start is told, s."""
-        self._streams = {name: _Stream(name) for name in (*sensors, *((VIDEO,) if camera else ()))}
+        self._streams = {name: _Stream(name) for name in sensors}
         self._patience = patience_s
         self._front = self._before = self._moved = math.nan  # newest time; before this step; its arrival
         self._start = self._began = math.nan  # first time, first arrival

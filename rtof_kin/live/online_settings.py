@@ -35,7 +35,7 @@ class OnlineSettings:
     confidence: bool = False
     """Whether to compute the covariance of every returned pose."""
     refined: CalibrationPriors | None = None
-    """What is calibrated while the person moves, with its prior: delay, headings, mountings, posture. None: nothing."""
+    """What is calibrated while the person moves, with its prior: delay, headings, mountings. None: nothing."""
     solver: JointSpaceSettings = field(
         default_factory=lambda: JointSpaceSettings(torso_inflation=1.4, robust_reprojection=1.2)
     )

@@ -14,7 +14,6 @@ from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.vision.detections import Detections, Person, of_body
 from rtof_kin.vision.keypoints import MOST_OUTSIDE, keypoint_names, with_own_points
 from rtof_kin.vision.landmark_regression import LandmarkRegression, recognise
-from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.person_detector import PersonDetector
 from rtof_kin.vision.tracking import PersonFollower
 
@@ -35,23 +34,20 @@ class PersonPoints:
     """The skeleton's landmarks and the detector's own points of one person, followed over time.
 
     `detector`: used for nothing else. `camera_px`: width and height that points are scaled to; None: as the images.
-    `layout`: of the detector's points; None: by their number.
 
     Raises:
         SourceError: no layout has as many points; the images have another form than the camera's.
-        UnknownNameError: unknown layout.
     """
 
-    def __init__(
-        self,
-        detector: PersonDetector,
-        image_px: tuple[int, int],
-        camera_px: tuple[int, int] | None = None,
-        layout: str | None = None,
-    ):
+    def __init__(self, detector: PersonDetector, image_px: tuple[int, int], camera_px: tuple[int, int] | None = None):
         self._detector = detector
         self._regression = LandmarkRegression.default()
-        self._form = self._layout(detector, layout)
+        if detector.points not in _LAYOUTS:
+            raise SourceError(
+                f"detector {detector.name}: gives {detector.points} points of a person; known are "
+                f"{', '.join(map(str, _LAYOUTS))}; take a model with as many"
+            )
+        self._form = self._regression.table.layout(_LAYOUTS[detector.points])
         self.names = keypoint_names(self._form, self._regression)
         """L names of the points."""
         self._follower = PersonFollower(image_px)
@@ -61,15 +57,6 @@ class PersonPoints:
         self._chosen, self._ambiguous = 0, 32
         self.notices: deque[str] = deque()
         """Sentences that are not told yet."""
-
-    def _layout(self, detector: PersonDetector, layout: str | None) -> Layout:
-        name = layout or _LAYOUTS.get(detector.points)
-        if name is None:
-            raise SourceError(
-                f"detector {detector.name}: gives {detector.points} points of a person; known are "
-                f"{', '.join(map(str, _LAYOUTS))}; take a model with as many"
-            )
-        return self._regression.table.layout(name)
 
     def of(self, image: NDArray[np.uint8], time: float) -> tuple[Array, Array]:
         """Return the person's points (L, 2), px, and confidence (L,); NaN and 0 where not seen.

@@ -181,7 +181,6 @@ class VideoSource:
         source: number or device of a webcam, or a video file.
         detector: gives the detector; by default the one at hand.
         camera_px: width and height of the calibrated image; None: those of the video.
-        layout: of the detector's points; None: by their number.
         now: clock of a webcam's stamps, s; with LSL its `local_clock`.
     """
 
@@ -191,12 +190,11 @@ class VideoSource:
         detector: Callable[[], PersonDetector] = choose_detector,
         *,
         camera_px: tuple[int, int] | None = None,
-        layout: str | None = None,
         replay: ReplayClock | None = None,
         clock: Clock = Clock.COMMON,
         now: Callable[[], float] = system.monotonic,
     ):
-        self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
+        self._source, self._detector, self._camera_px = source, detector, camera_px
         self.live = is_webcam(source)
         """Whether it is a webcam."""
         self.name = f"camera {source}" if self.live else Path(str(source)).name
@@ -243,7 +241,7 @@ class VideoSource:
                     raise SourceError(f"{self.name}: gives no image; see whether another program shows one")
                 detector = opened.enter_context(closing(self._detector()))
                 size = (first.pixels.shape[1], first.pixels.shape[0])
-                points = PersonPoints(detector, size, self._camera_px, self._layout)
+                points = PersonPoints(detector, size, self._camera_px)
             except SourceError:
                 raise
             except RtofError as error:

@@ -162,19 +162,16 @@ class JointStates:
 
 
 @cache
-def _sources() -> tuple[str, str]:
-    style = asset("page.css") + _own("live.css")
-    return style, "".join(map(asset, _SCRIPTS)) + _own("live.js")
-
-
-def _own(name: str) -> str:
-    return (_ASSETS / name).read_text(encoding="utf-8")
+def _sources() -> tuple[str, str, str]:
+    """Return style, script and frame of the page."""
+    own = {name: (_ASSETS / f"live.{name}").read_text(encoding="utf-8") for name in ("css", "js", "html")}
+    return asset("page.css") + own["css"], "".join(map(asset, _SCRIPTS)) + own["js"], own["html"]
 
 
 def live_page() -> str:
     """Return the page; it holds no data, which come over a WebSocket of the same host and port."""
-    style, script = _sources()
-    return fill(_own("live.html"), {"style": style, "script": script})
+    style, script, frame = _sources()
+    return fill(frame, {"style": style, "script": script})
 
 
 def page_headers(host: str) -> dict[str, str]:
@@ -182,7 +179,7 @@ def page_headers(host: str) -> dict[str, str]:
 
     `host`: of the server, ``HOST:PORT`` as the browser names it; checked by the caller.
     """
-    style, script = map(source_hash, _sources())
+    style, script = map(source_hash, _sources()[:2])
     policy = (
         f"default-src 'none'; script-src '{script}'; style-src '{style}'; img-src data:; "
         f"connect-src ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -227,14 +224,13 @@ class _Client:
 class WebSocketServer:
     """Serves the page at `url`, and estimates over WebSocket at the same port; a `Sink`."""
 
-    def __init__(self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None):
-        """Open the port and begin to serve.
+    def __init__(self, skeleton: SkeletonModel, port: int = 0, floor_height: float | None = None):
+        """Open the port at the loopback address and begin to serve.
 
-        `port`: TCP port; 0: a free one, see `url`. `host`: address to listen at, this machine's alone by default.
-        `floor_height`: for the page, m.
+        `port`: TCP port; 0: a free one, see `url`. `floor_height`: for the page, m.
 
         Raises:
-            SourceError: the port is taken, or the host is not an address of this machine.
+            SourceError: the port is taken.
             RtofError: the extra is not installed.
         """
         self._websockets = optional("websockets.asyncio.server", "live")
@@ -247,10 +243,8 @@ class WebSocketServer:
         self._lock = threading.Lock()
         self._waiting: OnlineEstimate | None = None
         self._dropped = 0
-        self._door = Door(host)
-        self._socket = _listening(host, port)
-        address, self._port = self._socket.getsockname()[:2]
-        self._address = f"[{address}]" if ":" in address else address
+        self._door, self._socket = Door(), _listening(port)
+        self._root = f"http://{LOOPBACK}:{self._socket.getsockname()[1]}"
         self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
         self._thread.start()
@@ -258,12 +252,12 @@ class WebSocketServer:
     @property
     def url(self) -> str:
         """Address of the page, with a secret token; for WebSocket clients it begins with ``ws:``."""
-        return f"http://{self._address}:{self._port}{self._door.path}"
+        return f"{self._root}{self._door.path}"
 
     @property
     def url_once(self) -> str:
         """Address that leads to the page once, to start a browser with."""
-        return f"http://{self._address}:{self._port}{self._door.ticket}"
+        return f"{self._root}{self._door.ticket}"
 
     @property
     def clients(self) -> int:
@@ -374,15 +368,14 @@ class WebSocketServer:
         return response(HTTPStatus.OK, live_page(), page_headers(request.headers["Host"]))
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listening(port: int) -> socket.socket:
     try:
         if not 0 <= port < 1 << 16:
             raise OSError("a port is a number up to 65535")
-        (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        opened = socket.create_server(address[:2], family=family)
+        opened = socket.create_server((LOOPBACK, port))
     except OSError as error:
         raise SourceError(
-            f"{host}:{port}: cannot serve there ({error}); end the other program, or give another port"
+            f"{LOOPBACK}:{port}: cannot serve there ({error}); end the other program, or give another port"
         ) from error
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
     return opened

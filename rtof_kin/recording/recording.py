@@ -14,7 +14,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -23,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.choices import Mode
@@ -38,7 +38,7 @@ from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keyp
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
-from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming, rows_between
+from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
@@ -73,11 +73,6 @@ class RecordingSource(ABC):
         return None if self.streams.keypoints is None else self.streams.keypoints.times
 
     @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self.streams.imus is not None
-
-    @property
     def times(self) -> Array:
         """(T,) s of the frames of the first camera, without one of the sensors' samples."""
         first = self.streams.keypoints or self.streams.imus
@@ -89,7 +84,7 @@ class RecordingSource(ABC):
         """Mode that uses all that was recorded: rtof, rto without IMUs, imu without a camera."""
         if self.frame_times is None:
             return "imu"
-        return "rtof" if self.has_sensors else "rto"
+        return "rtof" if self.streams.imus is not None else "rto"
 
     @property
     def start_s(self) -> float:
@@ -119,7 +114,7 @@ class RecordingSource(ABC):
             raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
         before = 0
         if parts["keypoints"] is not None and self.frame_times is not None:
-            before = rows_between(self.frame_times, start_s, stop_s).start
+            before = signals.within(self.frame_times, start_s, stop_s).start
         return replace(self.facts, **parts, first_frame=self.facts.first_frame + before, is_part=True)
 
     def digest(self) -> str:
@@ -398,9 +393,7 @@ class RecordingReader(RecordingSource):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError
@@ -25,12 +26,6 @@ from rtof_kin.recording.tables import ImusTable, KeypointsTable
 Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
 ALL: Final = slice(None)
 BLOCK: Final = 2048  #: Rows that are checked at once
-
-
-def rows_between(times: Array, start_s: float, stop_s: float) -> slice:
-    """Return the rows whose increasing times (T,), s, lie in a closed interval."""
-    first, last = np.searchsorted(times, start_s, "left"), np.searchsorted(times, stop_s, "right")
-    return slice(int(first), max(int(first), int(last)))
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ class Stream(Generic[Part]):
 
     def between(self, start_s: float, stop_s: float) -> Part | None:
         """Return the samples in a closed interval, s; None where there are none."""
-        rows = rows_between(self.times, start_s, stop_s)
+        rows = signals.within(self.times, start_s, stop_s)
         return self.part(rows) if rows.start < rows.stop else None
 
     def blocks(self) -> Iterator[Part]:

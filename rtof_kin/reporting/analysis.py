@@ -47,8 +47,19 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
-from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, subplots, write_files
+from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
+from rtof_kin.reporting.document import (
+    Cell,
+    Document,
+    Figure,
+    Table,
+    fixed,
+    label_panel,
+    number,
+    plot_band,
+    subplots,
+    write_files,
+)
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
 from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
@@ -187,7 +198,7 @@ def _printed(analysis: MotionAnalysis) -> list[Table | str]:
     out: list[Table | str] = [
         _printed_ranges(shown),
         *(f"{row.name}: {row.text}" for row in shown if row.is_uncertain),
-        *([_printed_gait(gait), f"gait: from {gait.rests_on}"] if gait.is_gait else [f"gait: {gait.why_not}"]),
+        *([gait_table(gait), f"gait: from {gait.rests_on}"] if gait.is_gait else [f"gait: {gait.why_not}"]),
     ]
     if (found := analysis.repetitions) is not None:
         columns = ("down [s]", "below [s]", "up [s]", "depth [m]", "right knee [deg]", "left knee [deg]")
@@ -213,17 +224,29 @@ def _printed_ranges(shown: Sequence[RangeOfMotion]) -> Table:
     return Table(("angle [deg]", "low", "high", "range", "\u00b1 95 %", "deg/s", "trusted"), rows)
 
 
-def _printed_gait(gait: GaitAnalysis) -> Table:
-    units = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+_GAIT_UNITS: Final = {
+    "stride_time": ("s", 2),
+    "cadence": ("steps/min", 1),
+    "stride_length": ("m", 2),
+    "speed": ("m/s", 2),
+    "stance_share": ("of the stride", 2),
+}
+"""Measure -> unit, decimals."""
+
+
+def gait_table(gait: GaitAnalysis) -> Table:
+    """Return the gait measures of both sides."""
     rows = []
-    for name in next(iter(gait.summary.values())):
+    for name, (unit, digits) in _GAIT_UNITS.items():
         cells = []
-        for measures in gait.summary.values():
-            mean, spread, strides = measures[name]
-            cells.append(f"{mean:.3g}" + (f" \u00b1 {spread:.2g}" if strides > 1 else "") + f" ({strides})")
-        symmetry = f"{100 * gait.symmetry[name]:+.1f} %" if name in gait.symmetry else ""
-        rows.append((f"{name.replace('_', ' ')} {units.get(name, '')}", *cells, symmetry))
-    return Table(("gait", *gait.summary, "symmetry"), rows)
+        for side in SIDES:
+            mean, sd, strides = gait.summary.get(side, {}).get(name, (math.nan, math.nan, 0))
+            spread = f" \u00b1 {sd:.{digits}f}" if math.isfinite(sd) else ""
+            cells.append(f"{mean:.{digits}f}{spread} ({strides})" if strides else "")
+        symmetry = fixed(100 * gait.symmetry.get(name, math.nan), 1, True)
+        rows.append((f"{label(name)} [{unit}]", *cells, f"{symmetry} %" if symmetry else ""))
+    columns = ("mean, standard deviation (strides)", *SIDES, "(right - left) / mean")
+    return Table(columns, rows, kind="gait", row_headers=True)
 
 
 # --- what the files have -------------------------------------------------------------------------
@@ -435,7 +458,7 @@ def gait_cycles(analysis: MotionAnalysis) -> Plot:
         if (shown := curve.name.removeprefix(f"{curve.side}_")) in axes:
             strides = f"{len(curve.curves)} stride" + "s" * (len(curve.curves) != 1)
             mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
-            _plot(axes[shown], 100 * PHASES, mean, sd, curve.side, f"{curve.side}, {strides}")
+            plot_band(axes[shown], 100 * PHASES, mean, sd, SIDE_COLORS[curve.side], f"{curve.side}, {strides}")
     _finish(axes)
     for side, measures in analysis.gait.summary.items():
         for ax in axes.values():
@@ -451,7 +474,7 @@ def angles_over_time(analysis: MotionAnalysis) -> Plot:
     for a, name in enumerate(angles.names):
         side, shown = side_and_name(name)
         if shown in axes and np.isfinite(angles.values[:, a]).any():
-            _plot(axes[shown], *_curve(angles, a), side, side or None)
+            plot_band(axes[shown], *_curve(angles, a), SIDE_COLORS[side], side or None)
     _finish(axes)
     bands = "" if angles.sigma is None else "; bands: 95 %"
     figure.suptitle(f"Joint angles{bands}; gaps: not observed")
@@ -473,26 +496,17 @@ def _curve(angles: ClinicalAngles, a: int) -> tuple[Array, Array, Array | None]:
     return interval_times(times, step), values[envelope_frames(values, step)], half
 
 
-def _plot(ax: Any, x: Any, y: Any, half: Any, side: str, label: str | None) -> None:
-    color = SIDE_COLORS[side]
-    ax.plot(x, y, color=color, lw=1.2, label=label)
-    if half is not None:
-        ax.fill_between(x, y - half, y + half, color=color, alpha=0.2, lw=0)
-
-
-def _panels(label: str) -> tuple[Plot, dict[str, Any]]:
+def _panels(xlabel: str) -> tuple[Plot, dict[str, Any]]:
     figure, grid = subplots(4, 3, (12, 11), sharex=True)
     for ax in grid[-1]:
-        ax.set_xlabel(label, fontsize=8)
+        ax.set_xlabel(xlabel, fontsize=8)
     return figure, dict(zip(SHOWN, grid.ravel(), strict=True))
 
 
 def _finish(axes: dict[str, Any]) -> None:
     """Add titles, with the legend beside them so that it hides no curve, and mark unobserved angles."""
     for name, ax in axes.items():
-        ax.set_title(name.replace("_", " "), fontsize=9, loc="left")
-        ax.set_ylabel("[deg]", fontsize=8)
-        ax.grid(alpha=0.3)
+        label_panel(ax, label(name), "[deg]")
         if ax.get_legend_handles_labels()[0]:
             place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
             ax.legend(fontsize=7, ncols=2, frameon=False, handlelength=1, columnspacing=1, **place)

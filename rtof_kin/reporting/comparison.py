@@ -8,7 +8,7 @@ the statistical parametric mapping, on request.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -30,7 +30,18 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, subplots
+from rtof_kin.reporting.document import (
+    Badge,
+    Cell,
+    Document,
+    Figure,
+    Section,
+    Table,
+    fixed,
+    label_panel,
+    number,
+    subplots,
+)
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
@@ -108,10 +119,7 @@ def document(
     names = Markup('<p class="legend"><span class="key A"></span> A: {} <span class="key B"></span> B: {}</p>')
     errors = [_error_cells(found, one) for one in found.angles if one.errors is not None]
     no_axis = "The two have no common axis, so there are no curves: see the ranges above."
-    reasons: dict[str, list[str]] = {}
-    for name, reason in found.left_out.items():
-        reasons.setdefault(reason, []).append(label(name))
-    left_out = tuple(f"{reason}: {', '.join(own)}" for reason, own in reasons.items())
+    left_out = tuple(_by_reason(found.left_out))
     return Document(
         "comparison",
         f"{found.a.name} and {found.b.name}: comparison of joint angles",
@@ -138,6 +146,14 @@ def document(
         lead=names.format(found.a.name, found.b.name),
         charts=_charts(found),
     )
+
+
+def _by_reason(reasons: Mapping[str, str]) -> list[str]:
+    """Reason: the angles that have it."""
+    out: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        out.setdefault(reason, []).append(label(name))
+    return [f"{reason}: {', '.join(names)}" for reason, names in out.items()]
 
 
 # --- what is compared ----------------------------------------------------------------------------
@@ -580,10 +596,7 @@ def spm_lines(found: ComparisonSpm) -> list[str]:
         "SPM knows the spread between repeats alone: errors that last through a recording make clusters "
         "too, so a cluster within the band of B - A is no change that was shown"
     )
-    reasons: dict[str, list[str]] = {}
-    for name, why in found.not_tested.items():
-        reasons.setdefault(why, []).append(label(name))
-    missing = [f"SPM not computed: {why}: {', '.join(names)}" for why, names in reasons.items()]
+    missing = [f"SPM not computed: {text}" for text in _by_reason(found.not_tested)]
     return [head, *lines, *([caution] if lines else []), *missing]
 
 
@@ -628,9 +641,7 @@ def spm_figure(found: ComparisonSpm, comparison: Comparison) -> Plot:
         for cluster in one.clusters:
             color = "#c0392b" if cluster.beyond_bands else "0.5"
             ax.axvspan(100 * cluster.start, 100 * cluster.stop, color=color, alpha=0.3, lw=0)
-        ax.set_title(label(one.name), fontsize=9, loc="left")
-        ax.set_ylabel("SPM{t}, B - A", fontsize=8)
-        ax.grid(alpha=0.3)
+        label_panel(ax, label(one.name), "SPM{t}, B - A")
     for ax in axes.flat[len(shown) :]:
         ax.set_visible(False)
     figure.suptitle(

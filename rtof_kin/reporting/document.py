@@ -243,6 +243,22 @@ def subplots(rows: int, columns: int, size: tuple[float, float], **options: Any)
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
+def label_panel(ax: Any, title: str, y: str, x: str = "") -> None:
+    """Label the axes of a figure in small letters, with a grid."""
+    ax.set_title(title, fontsize=9, loc="left")
+    ax.set_ylabel(y, fontsize=8)
+    ax.grid(alpha=0.3)
+    if x:
+        ax.set_xlabel(x, fontsize=8)
+
+
+def plot_band(ax: Any, x: Any, y: Any, half: Any, color: str, label: str | None = None) -> None:
+    """Plot a curve with its band of some half width; None: without a band."""
+    ax.plot(x, y, color=color, lw=1.2, label=label)
+    if half is not None:
+        ax.fill_between(x, y - half, y + half, color=color, alpha=0.2, lw=0)
+
+
 def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
     """Draw figures, write them as PNG, and return them by name; none without matplotlib."""
     pictures: dict[str, bytes] = {}

@@ -27,7 +27,7 @@ from rtof_kin.data.gait_reference import NAMES, PERCENT, STANDING_ZERO, VARIABLE
 from rtof_kin.formats.gait_reference import read_gait_reference
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label
 from rtof_kin.reporting.audit_results import Grade, headline
-from rtof_kin.reporting.document import Document, Figure, Section, Table, number
+from rtof_kin.reporting.document import Document, Figure, Section, Table, fixed, label_panel, number, plot_band
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ COLUMNS: Final = (
 LEAST_EXPLAINED: Final = 0.8  #: Share of a deviation outside of which the features do not describe it
 _OF_INDEX: Final = ("value", "low", "high", "explained_share")  # names of the fields of a `DeviationIndex`
 _FEW_STRIDES: Final = 4
-_ANALYSED: Final = "gait_cycles.csv"  # file of an analysis, which may be without its motion
-_BAR: Final = 9  # characters of the longest bar of the printed profile
 _WIDTH: Final = 0.38  # of a bar of the figure
 
 
@@ -65,10 +63,10 @@ def document(found: ScoredGait) -> Document:
     first, *others = _opening(found)
     printed, sections, figures, tables = [], [], [], {"gait_scores.csv": table(found)}
     if found.scores is not None:
-        printed = [_profile_table(found, bars=True)]
+        printed = [_profile_table(found)]
         alt = "Movement Analysis Profile as bars, and the nine curves over those of the reference, with 95 % bands"
         figures = [Figure("gait_scores", alt, lambda: gait_figure(found))]
-        sections = [Section("profile", "Movement Analysis Profile", [_profile_table(found, bars=False), *figures])]
+        sections = [Section("profile", "Movement Analysis Profile", [_profile_table(found), *figures])]
         tables["gait_curves.csv"] = _curve_table(found)
     return Document(
         "gait_scores",
@@ -152,10 +150,10 @@ def find_people(folder: str | Path, from_standing: bool = False) -> FoundPeople:
 
 
 def _folders(folder: Path) -> Iterator[Path]:
-    """Folders with a motion, and those with an analysis alone; hidden ones are not searched."""
-    for path, inner, files in os.walk(folder):
+    """Folders with a motion; hidden ones are not searched."""
+    for path, inner, _ in os.walk(folder):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
-        if file_in(Path(path)) or (_ANALYSED in files and not file_in(Path(path).parent)):
+        if file_in(Path(path)):
             yield Path(path)
 
 
@@ -163,10 +161,8 @@ def _person(path: Path, name: str) -> str:
     """Code of the person of a motion.
 
     Raises:
-        InvalidInputError: there is no motion, or its audit failed.
+        InvalidInputError: its audit failed.
     """
-    if file_in(path) is None:
-        raise InvalidInputError("an analysis without its motion.h5; name the output of reconstruct or run")
     if not (path / SUMMARY).is_file():
         return name
     summary = read_summary(path / SUMMARY)
@@ -188,7 +184,7 @@ class ScoredGait:
     scores: GaitScores | None  #: None if the motion has no strides that count
     index: dict[str, DeviationIndex]  #: Gait Deviation Index by side; empty if it is not computed
     why_no_index: str  #: One sentence; '' if there is an index
-    people: tuple[Array, Array] | None  #: Scores of the reference's own people, see `people_scores`
+    people: Array | None  #: Scores of the reference's own people, see `people_scores`
 
     @property
     def missing(self) -> dict[str, str]:
@@ -284,7 +280,7 @@ def _profile(found: ScoredGait) -> str:
     parts = [f"{side} {score_text(score)}" for side, score in scores.sides.items()]
     text = f"{found.name}: GPS {score_text(scores.overall)} deg, {', '.join(parts)}"
     if found.people is not None:
-        own = np.degrees(found.people[1])
+        own = np.degrees(found.people[..., -1])
         text += f"; people of the reference {own.min():.1f} to {own.max():.1f}, median {np.median(own):.1f}"
     return text
 
@@ -332,25 +328,25 @@ def _about_bands(found: ScoredGait) -> list[str]:
 # --- tables --------------------------------------------------------------------------------------
 
 
-def _profile_table(found: ScoredGait, bars: bool) -> Table:
-    """Scores of both sides with their bands, with bars, and the median of the reference's people."""
-    scores = table(found).records()
-    largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
+def _profile_table(found: ScoredGait) -> Table:
+    """Scores of both sides with their bands, and the median of the reference's people."""
+    scores, medians = found.scores, _medians(found)
+    assert scores is not None
     rows = []
-    for name in dict.fromkeys(row["score"] for row in scores):
-        own = {row["side"]: row for row in scores if row["score"] == name}
-        cells: list[str] = []
-        for side in SIDES:
-            value, noise = own[side]["value_deg"], own[side]["noise_deg"]
-            text = "-" if value is None else f"{value:.1f}"
-            text += f" ({own[side]['low_deg']:.0f}-{own[side]['high_deg']:.0f})" if value is not None and noise else ""
-            bar = "" if value is None else "\u2588" * max(1, round(_BAR * value / max(largest, 1e-9)))
-            cells += [text, bar] if bars else [text]
-        median = own["right"]["reference_median_deg"]
-        rows.append(("GPS" if name == "gps" else label(name), *cells, "" if median is None else f"{median:.1f}"))
-    sides = ("right", "", "left", "") if bars else ("right", "left")
+    for v, name in enumerate((*NAMES, "gps")):
+        own = [(*scores.profile[side], scores.sides[side])[v] for side in SIDES]
+        median = fixed(float(np.degrees(medians[name, "right"])), 1)
+        rows.append(("GPS" if name == "gps" else label(name), *map(score_text, own), median))
     title = "95 % bands in brackets; people: median of the reference"
-    return Table(("MAP [deg]", *sides, "people"), rows, title, row_headers=True)
+    return Table(("MAP [deg]", *SIDES, "people"), rows, title, row_headers=True)
+
+
+def _medians(found: ScoredGait) -> dict[tuple[str, str], float]:
+    """Score and side -> median of the reference's people, rad; NaN without their curves."""
+    names, middle = (*NAMES, "gps"), np.full((len(SIDES), len(NAMES) + 1), np.nan)
+    if found.people is not None:
+        middle = np.median(found.people, axis=0)
+    return {(name, side): middle[s, v] for s, side in enumerate(SIDES) for v, name in enumerate(names)}
 
 
 def _facts(found: ScoredGait) -> dict[str, Any]:
@@ -377,15 +373,9 @@ def _facts(found: ScoredGait) -> dict[str, Any]:
 
 def table(found: ScoredGait) -> Table:
     """Return the scores, None for what there is not; no rows for a motion that is no gait; see `COLUMNS`."""
-    scores, people = found.scores, found.people
+    scores, medians = found.scores, _medians(found)
     if scores is None:
         return Table(COLUMNS, [])
-    medians: dict[tuple[str, str], float] = {}
-    if people is not None:
-        for s, side in enumerate(SIDES):
-            middle = np.median(people[0][:, s], axis=0)
-            medians |= {(name, side): value for name, value in zip(NAMES, middle, strict=True)}
-            medians["gps", side] = float(np.median(people[1][:, s]))
     own = {
         (name, side): score
         for side, profile in scores.profile.items()
@@ -454,8 +444,8 @@ def _draw_profile(ax: Any, found: ScoredGait) -> None:
     half = np.degrees(scores.overall.half_width)
     ax.errorbar(at, overall[0], yerr=[[overall[1]], [half]], fmt="none", ecolor="0.2", capsize=2)
     if found.people is not None:
-        sizes = np.degrees(np.concatenate([found.people[0], found.people[1][..., None]], axis=2))
-        low, middle, high = np.quantile(sizes.reshape(-1, sizes.shape[-1]), [0, 0.5, 1], axis=0)
+        sizes = np.degrees(found.people).reshape(-1, len(NAMES) + 1)
+        low, middle, high = np.quantile(sizes, [0, 0.5, 1], axis=0)
         columns = np.arange(len(middle))
         ax.bar(columns, high - low, 0.9, low, color="0.5", alpha=0.25, lw=0, label="reference's people, range")
         ax.hlines(middle, columns - 0.45, columns + 0.45, color="0.2", lw=1, ls=":", label="and median")
@@ -479,15 +469,11 @@ def _draw_curve(ax: Any, found: ScoredGait, v: int) -> None:
         y = np.degrees(own.mean[v])
         variance = np.nan_to_num(own.pose_variance[v]) + np.nan_to_num(own.stride_bound[v])
         half = BAND_95 * np.degrees(np.sqrt(variance))
-        ax.plot(PERCENT, y, color=SIDE_COLORS[side], lw=1.2)
-        ax.fill_between(PERCENT, y - half, y + half, color=SIDE_COLORS[side], alpha=0.15, lw=0)
+        plot_band(ax, PERCENT, y, half, SIDE_COLORS[side])
     if not len(ax.lines) or np.isnan(mean).all():
         ax.text(0.5, 0.5, "not in the reference", transform=ax.transAxes, ha="center", color="0.5")
     variable = VARIABLES[v]
-    ax.set_title(f"{variable.label} (+ {variable.positive})", fontsize=8, loc="left")
-    ax.set_ylabel("[deg]", fontsize=8)
+    below = "gait cycle of the side, from heel strike [%]" if v >= 6 else ""
+    label_panel(ax, f"{variable.label} (+ {variable.positive})", "[deg]", below)
     ax.set_xlim(0, 100)
     ax.tick_params(labelsize=8)
-    ax.grid(alpha=0.3)
-    if v >= 6:
-        ax.set_xlabel("gait cycle of the side, from heel strike [%]", fontsize=8)

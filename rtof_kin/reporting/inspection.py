@@ -309,53 +309,38 @@ def picture(inspection: Inspection) -> Plot | None:
 
 
 def _sensors(streams: tuple[SensorStream, ...]) -> Plot:
-    rows = (_plot_force, _plot_angular_velocity, _plot_steps)
-    figure, axes = subplots(len(rows), len(streams), (max(4.5 * len(streams), 7), 8), sharex="col")
-    for column, stream in zip(axes.T, streams, strict=True):
-        for ax, plot in zip(column, rows, strict=True):
-            plot(ax, stream)
+    """Specific force with intervals at rest in grey, angular speed of gyroscope and orientation, steps of the times."""
+    figure, axes = subplots(3, len(streams), (max(4.5 * len(streams), 7), 8), sharex="col")
+    for (force, turn, step), stream in zip(axes.T, streams, strict=True):
+        force.set_title(stream.name)
+        force.set_ylabel("specific force [m/s2]")
+        if stream.f_sensor is not None:
+            for start, stop in runs(at_rest(stream)):
+                force.axvspan(stream.times[start], stream.times[stop - 1], color="0.85", zorder=0)
+            size = np.linalg.norm(stream.f_sensor, axis=-1)
+            force.plot(stream.times, size, color=ESTIMATE, lw=0.8, label="measured (grey: at rest)")
+            force.axhline(STANDARD_GRAVITY, color=TRUTH, lw=1, label="9.81")
+        turn.set_ylabel("angular velocity [deg/s]")
+        if stream.R_inertial_sensor is not None:
+            times, w = rates_of_orientation(stream)
+            speed = np.degrees(np.linalg.norm(w, axis=-1))
+            turn.plot(times, speed, color=TRUTH, lw=1.2, label="of the orientation")
+        if stream.w_sensor is not None:
+            speed = np.degrees(np.linalg.norm(stream.w_sensor, axis=-1))
+            turn.plot(stream.times, speed, color=ESTIMATE, lw=0.8, label="gyroscope")
+        for ax, missing in ((force, "no accelerations"), (turn, "neither gyroscope nor orientation")):
+            if ax.lines:
+                ax.legend(loc="upper right", fontsize=8)
+            else:
+                ax.text(0.5, 0.5, missing, ha="center", va="center", transform=ax.transAxes, color="0.4")
+        steps_ms = 1000 * np.diff(stream.times)
+        step.plot(stream.times[1:], steps_ms, ".", color=ESTIMATE, ms=3)
+        step.set_ylim(0, 1.2 * float(steps_ms.max(initial=1.0)))
+        step.set_ylabel("step of time stamps [ms]")
+        step.set_xlabel("time [s]")
+        for ax in (force, turn, step):
             ax.grid(alpha=0.3)
-        column[0].set_title(stream.name)
-        column[-1].set_xlabel("time [s]")
     return figure
-
-
-def _plot_force(ax: Any, stream: SensorStream) -> None:
-    """Norm of the specific force; intervals at rest in grey."""
-    ax.set_ylabel("specific force [m/s2]")
-    if stream.f_sensor is None:
-        _no_data(ax, "no accelerations")
-        return
-    for start, stop in runs(at_rest(stream)):
-        ax.axvspan(stream.times[start], stream.times[stop - 1], color="0.85", zorder=0)
-    size = np.linalg.norm(stream.f_sensor, axis=-1)
-    ax.plot(stream.times, size, color=ESTIMATE, lw=0.8, label="measured (grey: at rest)")
-    ax.axhline(STANDARD_GRAVITY, color=TRUTH, lw=1, label="9.81")
-    ax.legend(loc="upper right", fontsize=8)
-
-
-def _plot_angular_velocity(ax: Any, stream: SensorStream) -> None:
-    """Angular speed of the gyroscope and of the orientation."""
-    ax.set_ylabel("angular velocity [deg/s]")
-    if stream.R_inertial_sensor is not None:
-        times, w = rates_of_orientation(stream)
-        speed = np.degrees(np.linalg.norm(w, axis=-1))
-        ax.plot(times, speed, color=TRUTH, lw=1.2, label="of the orientation")
-    if stream.w_sensor is not None:
-        speed = np.degrees(np.linalg.norm(stream.w_sensor, axis=-1))
-        ax.plot(stream.times, speed, color=ESTIMATE, lw=0.8, label="gyroscope")
-    if ax.lines:
-        ax.legend(loc="upper right", fontsize=8)
-    else:
-        _no_data(ax, "neither gyroscope nor orientation")
-
-
-def _plot_steps(ax: Any, stream: SensorStream) -> None:
-    """Steps of the time stamps."""
-    steps_ms = 1000 * np.diff(stream.times)
-    ax.plot(stream.times[1:], steps_ms, ".", color=ESTIMATE, ms=3)
-    ax.set_ylabel("step of time stamps [ms]")
-    ax.set_ylim(0, 1.2 * float(steps_ms.max(initial=1.0)))
 
 
 def _bones(lengths: dict[str, Array]) -> Plot:
@@ -367,7 +352,3 @@ def _bones(lengths: dict[str, Array]) -> Plot:
     ax.legend(fontsize=8)
     ax.grid(alpha=0.3)
     return figure
-
-
-def _no_data(ax: Any, text: str) -> None:
-    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes, color="0.4")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import date
@@ -19,13 +18,13 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES, AngleRow, AngleTable, clinical_name
-from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.labels import Session
+from rtof_kin.reporting.analysis import gait_table
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
     SECTIONS,
@@ -37,7 +36,7 @@ from rtof_kin.reporting.audit_results import (
     section_verdict,
 )
 from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
-from rtof_kin.reporting.document import Cell, Table, badge, fixed, sentence
+from rtof_kin.reporting.document import Cell, Table, badge, sentence
 from rtof_kin.reporting.html import css_string, render
 from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, player_data, shown_frames
 from rtof_kin.reporting.provenance import CITATION, isb_items
@@ -62,18 +61,9 @@ _CONTENTS: Final = {
 OBSERVED: Final = 0.995  #: Share of the frames from which on something counts as always observed
 _RELIABLE: Final = 0.75  # share of reliable among observed frames below which a range says it
 _FEWEST: Final = 0.25  # share of observed and reliable frames below which there is no range
-_GAIT_UNITS: Final = {
-    "stride_time": ("s", 2),
-    "cadence": ("steps/min", 1),
-    "stride_length": ("m", 2),
-    "speed": ("m/s", 2),
-    "stance_share": ("of the stride", 2),
-}
-"""Measure -> unit, decimals."""
 _URDF: Final = re.compile(r" \(\w+\)$")  # the name of a degree of freedom in the URDF, behind the clinical one
 _PROBLEMS: Final = {Grade.FAIL: "problem", Grade.WARN: "with care", Grade.WEAK: "not verified"}
 """Grades of sections with a row of their own, worst first, and their labels."""
-_LONGEST: Final = 180  # characters of a reason that stands in the table of verdicts unfolded
 _FOOT: Final = (
     '@page { @bottom-left { content: FOOT; font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #5d6873; } }'
 )
@@ -284,39 +274,11 @@ def _whole(radians: float) -> str:
 
 
 def way_line(travel: Travel) -> str:
-    """Return how far the person went and turned."""
-    if not math.isfinite(travel.path_length):
-        way = "not observed"
-    else:
-        way = f"{travel.path_length:.1f} m along its path"
-        if travel.path_length:
-            way += f", {travel.displacement:.1f} m {travel.way}".rstrip() + " from its first to its last position"
-    known = math.isfinite(travel.turned_left)
-    turned = travel.turns or ("turns within their error" if known else "turns not observed")
-    seen = travel.observed_share
-    share = f"; position observed in {100 * seen:.0f} % of the frames" if seen < OBSERVED else ""
-    notes = "".join(f"; {note}" for note in travel.notes)
-    return f"{way}; {turned}{share}{notes}."
-
-
-def gait_table(gait: GaitAnalysis) -> Table:
-    """Return the gait measures of both sides."""
-
-    def cell(side: str, name: str) -> str:
-        if side not in gait.summary:
-            return ""
-        mean, sd, strides = gait.summary[side][name]
-        digits = _GAIT_UNITS[name][1]
-        spread = f" \u00b1 {sd:.{digits}f}" if math.isfinite(sd) else ""
-        return f"{mean:.{digits}f}{spread} ({strides})"
-
-    rows = []
-    for name in MEASURES:
-        symmetry = fixed(100 * gait.symmetry.get(name, math.nan), 1, True)
-        label = f"{name.replace('_', ' ')} [{_GAIT_UNITS[name][0]}]"
-        rows.append((label, *(cell(side, name) for side in SIDES), f"{symmetry} %" if symmetry else ""))
-    columns = ("mean, standard deviation (strides)", "right", "left", "(right - left) / mean")
-    return Table(columns, rows, kind="gait", row_headers=True)
+    """Return how far the person went and turned, what was observed of it, and what could not be determined."""
+    parts = [travel.text, "turns within their error" if travel.unsure_turns else ""]
+    if travel.observed_share < OBSERVED:
+        parts.append(f"position observed in {100 * travel.observed_share:.0f} % of the frames")
+    return f"{'; '.join(filter(None, (*parts, *travel.notes)))}."
 
 
 def torque_tables(torques: JointTorques | None, skeleton: SkeletonTable) -> list[Table]:
@@ -410,12 +372,10 @@ def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Ta
     for grade, word in _PROBLEMS.items():
         for v, reasons in found:
             if v.grade is grade:
-                short = textwrap.shorten(reasons[0], _LONGEST, placeholder=" ...")
-                why = Markup.escape(short)
-                if more := reasons if short.endswith(" ...") else reasons[1:]:
-                    folded = Markup(" <details><summary>{}</summary><ul>{}</ul></details>")
-                    title = "in full" if more is reasons else f"{len(more)} more"
-                    why += folded.format(title, Markup().join(map(Markup("<li>{}</li>").format, more)))
+                why = Markup.escape(reasons[0])
+                if more := reasons[1:]:
+                    folded = Markup(" <details><summary>{} more</summary><ul>{}</ul></details>")
+                    why += folded.format(len(more), Markup().join(map(Markup("<li>{}</li>").format, more)))
                 rows.append((v.title, badge(grade, word), why))
     others = [g for g in Grade if g not in _PROBLEMS]
     for grade in others:

@@ -15,8 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -25,8 +24,7 @@ from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES, AngleTable
 from rtof_kin.clinical.comparison import Comparison, compare_sides, with_strides
 from rtof_kin.clinical.comparison_change import LEVEL, Verdict
-from rtof_kin.clinical.gait import FEWEST as FEWEST_STRIDES
-from rtof_kin.clinical.gait import LEAST_SHARE, GaitAnalysis
+from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.clinical.travel import DRIFT
@@ -46,8 +44,7 @@ EVENT_SIGMA: Final = 0.015
 """Standard deviation of a side's mean stance, share of the stride, that more strides do not reduce."""
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """A difference that exceeds its 95 % band."""
 
     subject: str  #: Joint or measure; of one subject only the largest finding is shown
@@ -109,15 +106,13 @@ def _beyond_limits(rows: dict[str, RangeOfMotion], table: AngleTable, skeleton: 
         if name not in limits:
             continue
         low, high = limits[name]
-        for end, sigma, excess, limit in (
-            (row.low, row.low_sigma, low - row.low, low),
-            (row.high, row.high_sigma, row.high - high, high),
+        for which, end, sigma, excess, limit in (
+            ("lowest", row.low, row.low_sigma, low - row.low, low),
+            ("highest", row.high, row.high_sigma, row.high - high, high),
         ):
             if excess > max(LEAST_DIFFERENCE, BAND_95 * sigma):
-                text = (
-                    f"{label(name)}: {'lowest' if end == row.low else 'highest'} angle "
-                    f"{with_band(end, sigma)}, beyond the anatomical limit of {np.degrees(limit):.0f}°"
-                )
+                beyond = f"beyond the anatomical limit of {np.degrees(limit):.0f}°"
+                text = f"{label(name)}: {which} angle {with_band(end, sigma)}, {beyond}"
                 yield Finding(joints[name].name.removeprefix(f"{joints[name].side}_"), text, excess / sigma)
 
 
@@ -126,10 +121,10 @@ def anatomical_limits(skeleton: SkeletonTable) -> dict[str, tuple[float, float]]
     out = {}
     for joint in skeleton.joints:
         for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
-            if not dof.clinical.startswith(tuple(f"{sign}{side}" for sign in ("", "-") for side in SIDES)):
-                continue
-            ends = (-high, -low) if dof.clinical.startswith("-") else (low, high)
-            out[dof.clinical.removeprefix("-").replace(" ", "_")] = (float(ends[0]), float(ends[1]))
+            name = dof.clinical.removeprefix("-")
+            if name.startswith(SIDES):
+                ends = (-high, -low) if dof.clinical.startswith("-") else (low, high)
+                out[name.replace(" ", "_")] = (float(ends[0]), float(ends[1]))
     return out
 
 
@@ -144,12 +139,11 @@ def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
     errors = [float(np.hypot(sd / np.sqrt(n), EVENT_SIGMA)) for sd, n in ((sd_right, n_right), (sd_left, n_left))]
     sigma = float(np.hypot(errors[0], errors[1]))
     if abs(right - left) > BAND_95 * sigma:
-        ends = [
+        first, second = (
             f"{100 * mean:.0f} ± {100 * BAND_95 * error:.0f} %"
             for mean, error in zip((right, left), errors, strict=True)
-        ]
-        text = f"stance: {ends[0]} of the stride right, {ends[1]} left"
-        yield Finding("stance", text, abs(right - left) / sigma)
+        )
+        yield Finding("stance", f"stance: {first} of the stride right, {second} left", abs(right - left) / sigma)
 
 
 MOST_FINDINGS: Final = 3
@@ -163,13 +157,12 @@ _SIDE: Final = re.compile("^(left|right) ")
 _PLURALS: Final = {"foot": "feet"}
 
 
-@dataclass(frozen=True)
-class SummaryLine:
+class SummaryLine(NamedTuple):
     """One line of the summary."""
 
     label: str  #: 'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'
     text: str  #: One to three sentences
-    grade: Grade | None  #: Grade that the line states; None for a line without one
+    grade: Grade | None = None  #: Grade that the line states; None for a line without one
 
 
 def summary_lines(
@@ -177,24 +170,18 @@ def summary_lines(
 ) -> tuple[SummaryLine, ...]:
     """Return the lines of a report's summary; one on the position in the room where its audit has one."""
     seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
-    room: tuple[SummaryLine, ...] = ()
+    room = []
     if overall.room:
         verdict, _, why = plain_words(overall.room_text, analysis.table).partition(": ")
-        room = (SummaryLine("Position in the room", f"{sentence(why or verdict)}.", overall.room),)
+        room = [SummaryLine("Position in the room", f"{sentence(why or verdict)}.", overall.room)]
     return (
-        SummaryLine("Who", _who(analysis, summary, session), None),
-        SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}.", None),
+        SummaryLine("Who", _who(analysis, summary, session)),
+        SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
         *room,
-        _careful(analysis, overall),
-        SummaryLine("Findings", _findings(analysis), None),
+        SummaryLine("Careful", _careful(analysis, overall)),
+        SummaryLine("Findings", _findings(analysis)),
     )
-
-
-def _angle_words(overall: Headline, table: AngleTable) -> str:
-    """Return the headline without the position in the room, in plain words."""
-    text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
-    return plain_words("; ".join(part for part in text.split("; ") if part), table)
 
 
 def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
@@ -215,21 +202,15 @@ def _movement(analysis: MotionAnalysis) -> str:
     """Movement in words, as far as it was recognised."""
     gait, travel = analysis.gait, analysis.travel
     strides = len(gait.verdict.walking)
-    part = f" in {100 * travel.walking_share:.0f} % of the time"
+    counted = f"{strides} stride" + "s" * (strides != 1)
     if gait.is_gait:
-        partly = part if travel.walking_share < MOSTLY else ""
-        counted = f"{strides} stride" + ("s" if strides > 1 else "")
+        partly = f" in {100 * travel.walking_share:.0f} % of the time" if travel.walking_share < MOSTLY else ""
+        where, way = ("", f", {travel.text}")
         if gait.verdict.on_the_spot:
-            return f"Walking on the spot or on a treadmill{partly}: {counted}"
-        return f"Walking{partly}: {counted}, {travel.text}"
+            where, way = " on the spot or on a treadmill", ""
+        return f"Walking{where}{partly}: {counted}{way}"
     bends = _knee_bends(analysis)
-    walking = "no walking"
-    if strides >= FEWEST_STRIDES:
-        walking = f"strides of walking{part}, but no steady walking"
-    elif strides > LEAST_SHARE * len(gait.strides):
-        walking = f"only {strides} complete stride{'s' if strides > 1 else ''} of walking"
-    elif not bends:
-        walking = "neither walking nor squats were recognised"
+    walking = f"{counted} of walking, but no steady walking" if strides else "no walking was recognised"
     return sentence("; ".join([*([_listed(bends)] if bends else []), walking, travel.text]))
 
 
@@ -304,10 +285,11 @@ def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
     return f"{expected}, from {ends[0]} to {ends[1]}. {seen}{reference}"
 
 
-def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
+def _careful(analysis: MotionAnalysis, overall: Headline) -> str:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
-    parts = [_angle_words(overall, analysis.table)] if warned else []
+    about_angles = [part for part in overall.text.replace(overall.room_text, "").split("; ") if part]
+    parts = [plain_words("; ".join(about_angles), analysis.table)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
@@ -323,8 +305,7 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     wide = (_SIDE.sub("", label(name)) for name, half in _half_widths(analysis).items() if half > WIDEST[1])
     if doubtful := list(dict.fromkeys(wide)):
         parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
-    text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
-    return SummaryLine("Careful", f"{text}.", None)
+    return f"{'. '.join(map(sentence, parts)) or 'No warning'}."
 
 
 def _findings(analysis: MotionAnalysis) -> str:
@@ -336,7 +317,7 @@ def _findings(analysis: MotionAnalysis) -> str:
     pairs = len(tested)
     over = "over the gait cycle" if sides is not None and sides.by == "cycle" else "by their range"
     compared = f"{pairs} angle{'s' if pairs > 1 else ''} of the left and right were compared {over}"
-    lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
+    lines = [f"{sentence(one.text)}." for one in found[:MOST_FINDINGS]]
     if not pairs:
         none = "no angle is observed and reliable almost throughout on both sides"
         lines.append(f"Left and right were not compared: {none}.")

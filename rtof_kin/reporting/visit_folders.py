@@ -34,7 +34,7 @@ import numpy as np
 from pydantic import Strict
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
-from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Setup, Trial, Visit, trial
+from rtof_kin.clinical.visits import Better, Movement, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.input_table import InputTable, Names
@@ -73,11 +73,11 @@ class Plan(InputTable):
     """The file ``follow.toml``."""
 
     baseline: str = ""
-    by: str = ""
+    by: Movement | None = None
     repetitions: str = ""
     measures: Names = ()
     visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
-    better: dict[str, str] = {}
+    better: dict[str, Better] = {}
 
     @property
     def names(self) -> dict[str, str]:
@@ -110,8 +110,6 @@ def read_plan(folder: str | Path) -> Plan:
     if not path.exists():
         return Plan()
     plan = Plan.read(path)
-    indices_of(f"direction in {path}, [better]", [*plan.better.values()], BETTERS)
-    indices_of(f"choice in {path}, by", [plan.by] if plan.by else [], MOVEMENTS)
     _ = plan.days  # raises if one is wrong
     return plan
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from markupsafe import Markup
@@ -18,11 +19,23 @@ from scipy import stats
 
 from rtof_kin.clinical.comparison_change import LEVEL, MixedError
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
-from rtof_kin.clinical.visits import Better, Measure, Movement
+from rtof_kin.clinical.visits import Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
-from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, sentence
+from rtof_kin.reporting.document import (
+    Badge,
+    Cell,
+    Document,
+    Figure,
+    Section,
+    Table,
+    fixed,
+    label_panel,
+    number,
+    sentence,
+    subplots,
+)
 from rtof_kin.reporting.visit_folders import Progress, read_visits
 
 if TYPE_CHECKING:
@@ -77,9 +90,9 @@ def follow(
     found = follow_up(
         read.visits,
         baseline=first,
-        by=by or cast("Movement | None", plan.by or None),
+        by=by or plan.by,
         kind=kind or plan.repetitions,
-        better=cast("dict[str, Better]", plan.better),
+        better=plan.better,
         names=list(measures) or list(plan.measures),
     )
     return document(found, read.notes, all_printed=bool(measures))
@@ -487,24 +500,19 @@ def _figures(found: FollowUp) -> dict[str, Figure]:
     for kind, title in _FIGURES.items():
         if kind in groups:
             alt = f"{title} over the visits, with 95 % bands; the numbers are in the tables"
-            own = groups[kind]
-            out[title] = Figure(f"figures/{kind}", alt, lambda own=own, title=title: trajectories(found, own, title))  # type: ignore[misc]
+            out[title] = Figure(f"figures/{kind}", alt, partial(trajectories, found, groups[kind], title))
     return out
 
 
 def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> Plot:
     """Plot measures over visits, both sides in one panel."""
-    from matplotlib.figure import Figure as Plot
-
     panels: dict[tuple[str, str], list[Followed]] = {}
     for one in measures:
         name = side_and_name(one.measure.name)[1]
         panels.setdefault((name, one.measure.unit), []).append(one)
     lines = math.ceil(len(panels) / _PANELS)
-    height = 0.9 + 2.2 * lines  # inches
-    figure = Plot(figsize=(13, height))
-    figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.27, hspace=0.45)
-    grid = figure.subplots(lines, _PANELS, squeeze=False).ravel()
+    figure, axes = subplots(lines, _PANELS, (13, 0.9 + 2.2 * lines))
+    grid = axes.ravel()
     days = [visit.day.toordinal() for visit in found.visits if visit.day is not None]
     if len(set(days)) < len(found.visits):  # then they are numbered
         days = list(range(len(found.visits)))
@@ -512,9 +520,7 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> P
     for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
         for one in own:
             _plot(ax, found, one, x)
-        ax.set_title(name_of(replace(own[0].measure, name=name)), fontsize=9, loc="left")
-        ax.set_ylabel(f"[{unit}]", fontsize=8)
-        ax.grid(alpha=0.3)
+        label_panel(ax, name_of(replace(own[0].measure, name=name)), f"[{unit}]")
         ax.margins(x=0.08)
         ax.set_xticks(x, names, fontsize=7, rotation=15)
     for ax in grid[len(panels) :]:
@@ -523,8 +529,6 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> P
         f"{sentence(title)} over visits with 95 % bands; dots: trials; blue: right, red: left; "
         "large marks: change from the baseline (up: improved, down: worse, diamond: changed)",
         fontsize=10,
-        y=1 - 0.1 / height,
-        va="top",
     )
     return figure
 

@@ -179,20 +179,22 @@ def simulate_imus(
     wanted = indices_of("sensor", sensors, known)
     streams = rng.spawn(len(known))
     all_local = kinematics.local_rotations(skeleton.parents, poses.R_world_bone)
-    measured = [_measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted]
+    R_world_inertial, R_sensor_bone, R_inertial_sensor, f_sensor = zip(
+        *(_measure(streams[i], poses, skeleton, known[i], all_local, times, noise) for i in wanted), strict=True
+    )
     places = [skeleton.sensors[name] for name in sensors]
     calibration = ImuCalibration(
         sensors=tuple(sensors),
         joints=tuple(joint for joint, _ in places),
-        R_world_inertial=np.stack([m["R_world_inertial"] for m in measured]),
-        R_sensor_bone=np.stack([m["R_sensor_bone"] for m in measured]),
+        R_world_inertial=np.stack(R_world_inertial),
+        R_sensor_bone=np.stack(R_sensor_bone),
         p_bone_sensor=np.stack([lever for _, lever in places]),
     )
     try:
         imus = ImuSequence(
             times=times,
-            R_inertial_sensor=np.stack([m["R_inertial_sensor"] for m in measured], axis=1),
-            f_sensor=np.stack([m["f_sensor"] for m in measured], axis=1),
+            R_inertial_sensor=np.stack(R_inertial_sensor, axis=1),
+            f_sensor=np.stack(f_sensor, axis=1),
             names=tuple(sensors),
         )
     except UnitError as error:
@@ -211,8 +213,8 @@ def _measure(
     R_parent_bone: Array,
     times: Array,
     noise: ImuNoise,
-) -> dict[str, Array]:
-    """Return what one sensor measured and its calibration, by field of the two sequences."""
+) -> tuple[Array, Array, Array, Array]:
+    """Return R_world_inertial, R_sensor_bone, R_inertial_sensor and f_sensor of one sensor."""
     joint, lever = skeleton.sensors[name]
     j = skeleton.index(joint)[0]
     noise = noise.drawn(rng)
@@ -229,12 +231,8 @@ def _measure(
     p_world_sensor = poses.p_world_joint[:, j] + poses.R_world_bone[:, j] @ lever
     a_world = CubicSpline(poses.times, p_world_sensor).derivative(2)(times)
     f_sensor = np.einsum("tji,tj->ti", R_world_sensor, a_world - GRAVITY_WORLD)
-    return {
-        "R_inertial_sensor": R_world_inertial.T @ R_world_sensor,
-        "f_sensor": f_sensor + accelerometer_errors(rng, times, a_world, noise),
-        "R_world_inertial": R_world_inertial,
-        "R_sensor_bone": R_bone_sensor.T @ misalignment,
-    }
+    f_sensor = f_sensor + accelerometer_errors(rng, times, a_world, noise)
+    return R_world_inertial, R_bone_sensor.T @ misalignment, R_world_inertial.T @ R_world_sensor, f_sensor
 
 
 def _at(poses: PoseSequence, R: Array, times: Array) -> Array:

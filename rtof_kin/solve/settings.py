@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any, Final, Literal, get_args
+from typing import Final, get_args
 
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import InvalidInputError
@@ -105,10 +105,7 @@ class JointSpaceSettings:
     def __post_init__(self) -> None:
         if self.compile not in get_args(Compile):
             raise InvalidInputError(f"compile: {self.compile!r} is none of {', '.join(get_args(Compile))}")
-        low, high = self.sigma_reprojection_range
-        if not 0 < low <= high < math.inf:
-            raise InvalidInputError("sigma_reprojection_range must be positive, the smaller one first")
-        object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
+        _check_range(self)
         sigmas = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
         for field in (*sigmas, *_POSITIVE):
             value = getattr(self, field)
@@ -126,20 +123,6 @@ class JointSpaceSettings:
                 raise InvalidInputError(f"{field} must be a whole number, not negative")
 
 
-JerkTarget = Literal["zero", "sensor"]
-BoneLengths = Literal["weighted", "free"]
-PositionPrior = Literal["bones", "positions"]
-Blend = Literal["tapered", "average"]
-Padding = Literal["masked", "replicate"]
-_CHOICES: Final[dict[str, tuple[Any, ...]]] = {
-    "jerk_target": get_args(JerkTarget),
-    "bone_lengths": get_args(BoneLengths),
-    "prior": get_args(PositionPrior),
-    "blend": get_args(Blend),
-    "padding": get_args(Padding),
-}
-
-
 @dataclass(frozen=True)
 class CartesianSettings:
     """Weights and standard deviations of the Cartesian energy.
@@ -149,6 +132,11 @@ class CartesianSettings:
     is a weak prior about the initial guess (SF2).
     """
 
+    as_printed: bool = False
+    """The paper's energy and fragments, see `paper`: smoothness about the differentiated acceleration of joints with a
+    sensor (which adds differentiated noise) instead of zero; a prior of every position instead of root and bone
+    vectors; free lengths; fragments padded by copies instead of frames without observations, and averaged instead of
+    blended by tapered weights."""
     k_V: float = 0.67
     """Weight of the visual term. The default of each k is the term's number of residuals over the prior's, so that E is
     the negative log posterior; `paper` has the paper's weights."""
@@ -175,23 +163,12 @@ class CartesianSettings:
     """[m] of a bone's end, from an orientation error of 5-10 degrees."""
     sigma_jerk: float = 120.0
     """[m/s^3]"""
-    jerk_target: JerkTarget = "zero"
-    """'zero' on all joints, or 'sensor': the differentiated acceleration on joints with a sensor (the paper's E_S,
-    which adds differentiated noise)."""
     sigma_length: float = 0.005
-    """[m] of `bone_lengths` = 'weighted'."""
-    prior: PositionPrior = "bones"
-    """'bones': the root and every bone vector have a prior. 'positions': every joint has its own."""
+    """[m] of the distance of two points of a rigid segment; not in the energy as printed."""
     sigma_prior: float = 0.3
     """[m] of the root, or of every position."""
     sigma_prior_bone: float = 0.04
     """[m] of a bone vector."""
-    bone_lengths: BoneLengths = "weighted"
-    """'weighted' by sigma_length, or 'free' (as printed)."""
-    blend: Blend = "tapered"
-    """'tapered' weights of overlapping fragments, or 'average' (the paper's mean)."""
-    padding: Padding = "masked"
-    """'masked': frames beyond the ends have no observations; 'replicate': the paper's copies."""
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
     tolerance: float = 1e-6
@@ -199,13 +176,7 @@ class CartesianSettings:
     max_iterations: int = 60
 
     def __post_init__(self) -> None:
-        for field, values in _CHOICES.items():
-            if getattr(self, field) not in values:
-                raise InvalidInputError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
-        low, high = self.sigma_reprojection_range
-        if not 0 < low <= high:
-            raise InvalidInputError("sigma_reprojection_range must be positive, the smaller one first")
-        object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
+        _check_range(self)
         for field, value in vars(self).items():
             if field.startswith("sigma_") and isinstance(value, int | float) and not value > 0:
                 raise InvalidInputError(f"{field} must be positive; leave a term out by its weight k")
@@ -227,11 +198,7 @@ class CartesianSettings:
             k_S=0.3,
             sigma_reprojection=10.0,
             huber_reprojection=None,
-            jerk_target="sensor",
-            bone_lengths="free",
-            prior="positions",
-            blend="average",
-            padding="replicate",
+            as_printed=True,
         )
 
     def term_weights(self) -> dict[str, float]:
@@ -241,6 +208,13 @@ class CartesianSettings:
             "acceleration": self.k_I * self.k_A,
             "bone": self.k_I * self.k_B,
             "smooth": self.k_I * self.k_S,
-            "length": 1.0 if self.bone_lengths == "weighted" else 0.0,
+            "length": 0.0 if self.as_printed else 1.0,
             "prior": 1.0,
         }
+
+
+def _check_range(settings: JointSpaceSettings | CartesianSettings) -> None:
+    low, high = settings.sigma_reprojection_range
+    if not 0 < low <= high < math.inf:
+        raise InvalidInputError("sigma_reprojection_range must be positive, the smaller one first")
+    object.__setattr__(settings, "sigma_reprojection_range", (float(low), float(high)))

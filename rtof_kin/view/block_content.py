@@ -7,7 +7,7 @@ the colour of the prior where its direction was not observed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import freeze
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.view.legend import PALETTE
@@ -33,16 +32,12 @@ _SHORT: Final = 0.45  # Relative length of the axes of other joints
 _FAINT: Final = 0.35  # Opacity of a segment that is not valid
 
 
-@dataclass(frozen=True)
-class SegmentSolids:
+class SegmentSolids(NamedTuple):
     """Place and size of the solid of each segment, in its link frame."""
 
     centers: Array  #: (J, 3) m from the joint
     R_bone_solid: Array  #: (J, 3, 3); the solid's z axis is along the bone
     sizes: Array  #: (J, 3) m, half thickness in x and y, half length in z
-
-    def __post_init__(self) -> None:
-        freeze(self, "solids", centers=("J", 3), R_bone_solid=("J", 3, 3), sizes=("J", 3))
 
 
 def segment_solids(skeleton: SkeletonModel) -> SegmentSolids:
@@ -87,17 +82,13 @@ class BlockContent:
 
 
 def block_content(
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    solids: SegmentSolids,
-    start: int = 0,
-    confidence: Confidence | None = None,
+    poses: PoseSequence, skeleton: SkeletonModel, start: int = 0, confidence: Confidence | None = None
 ) -> BlockContent:
     """Return what is drawn of a block.
 
     `poses`: of the block; joints of the skeleton that they do not have are missing. start: first frame of the block.
     """
-    poses = with_joints_of(poses, skeleton)
+    poses, solids = with_joints_of(poses, skeleton), segment_solids(skeleton)
     p, R = poses.p_world_joint, poses.R_world_bone
     finite: Mask = np.asarray(np.isfinite(p).all(axis=-1))
     there: Mask = finite & np.asarray(np.isfinite(R).all(axis=(-2, -1)))

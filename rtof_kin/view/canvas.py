@@ -225,16 +225,13 @@ class LabelLayout:
 
     _last: dict[str, Offset] = field(default_factory=dict)
 
-    def place(
-        self, labels: Sequence[Label], picture: Box, avoided: Array = _NOTHING, taken: Sequence[Box] = ()
-    ) -> dict[str, Box]:
+    def place(self, labels: Sequence[Label], picture: Box, avoided: Array = _NOTHING) -> dict[str, Box]:
         """Return a box for each label; a label for which there is no room is left out.
 
         It covers the fewest points and is nearest to its own; the last one stays while it covers few.
 
-        `avoided`: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
+        `avoided`: (n, 2) px, points that are covered only where there is no other room.
         """
-        used = list(taken)
         out: dict[str, Box] = {}
         for label in labels:
             last = self._last.get(label.name)
@@ -244,7 +241,7 @@ class LabelLayout:
             top = round(label.y) + dy
             sides = _Sides(left, top, left + label.width, top + label.height)
             free = (sides.left >= picture.left) & (top >= picture.top) & (sides.bottom <= picture.bottom)
-            for box in used:
+            for box in out.values():
                 apart = (sides.left >= box.right) | (sides.right <= box.left)
                 free &= apart | (sides.top >= box.bottom) | (sides.bottom <= box.top)
             if not free.any():
@@ -259,7 +256,6 @@ class LabelLayout:
             best = int(np.argmin(np.where(free, covered, len(avoided) + _MISTAKEN + 1)))
             self._last[label.name] = offsets[best]
             out[label.name] = Box(int(left[best]), int(top[best]), label.width, label.height)
-            used.append(out[label.name])
         return out
 
 

@@ -24,12 +24,9 @@ from rtof_kin.view.film_files import (
     FilmWriter,
     GifWriter,
     Mp4Writer,
-    PlainSource,
-    VideoSource,
     check_size,
     check_suffix,
     check_times,
-    open_source,
     scale_of,
 )
 from rtof_kin.view.legend import Verdict, read_verdict
@@ -113,18 +110,16 @@ def write_overlay(
     check_new_file(output, overwrite)
     result = read_result(folder)
     chosen = choose_view(result, view, video is not None)
-    source: FilmSource
-    if video is not None:
-        source = open_source(video, chosen)
-    else:
-        pixels = chosen.camera.width_px, chosen.camera.height_px
-        source = PlainSource(pixels, result.motion.times, settings.background)
     notes: tuple[str, ...] = ()
-    if isinstance(source, VideoSource):
-        notes = check_size(source, chosen) + check_times(source, chosen, settings.shift)
+    times, shift = result.motion.times, 0.0
+    if video is None:
+        source = FilmSource.plain((chosen.camera.width_px, chosen.camera.height_px), times, settings.background)
+    else:
+        source, times, shift = FilmSource.of_video(video, chosen), chosen.video_times, settings.shift
+        assert source.metadata is not None
+        notes = check_size(video, source.size, chosen) + check_times(video, source.metadata, chosen, shift)
     size = _output_size(source.size, settings.width_px, gif)
     scale = size[0] / source.size[0] * scale_of(source.size, chosen)
-    times = chosen.video_times if isinstance(source, VideoSource) else result.motion.times
     scaled = ScaledView(chosen, scale, *size, times)
     title = _title(result) if settings.title is None else " ".join(settings.title.split())
     painter = Painter(ProjectedMotion(result.motion, scaled), title, result.measurements.faults, settings)
@@ -132,7 +127,7 @@ def write_overlay(
         rate = source.rate_hz
         writer: FilmWriter = GifWriter(file, rate) if gif else Mp4Writer(file, size, rate)
         with writer:
-            frames, without = _draw(source, painter, writer, size, settings, progress)
+            frames, without = _draw(source, painter, writer, size, shift, settings, progress)
         if frames == 0:
             raise InvalidInputError(f"overlay: no picture is {_interval(settings)}; see --from and --to")
     return OverlayResult(Path(output), *size, frames, without, writer.encoder, notes, result.verdict)
@@ -183,15 +178,15 @@ def _draw(
     painter: Painter,
     writer: FilmWriter,
     size: tuple[int, int],
+    shift: float,
     settings: OverlaySettings,
     progress: Progress | None,
 ) -> tuple[int, int]:
     """Draw all pictures; return their number, and that of those without a person."""
     frames = without = total = 0
-    shift = settings.shift if isinstance(source, VideoSource) else 0.0
     first = -np.inf if settings.start is None else settings.start
     last = np.inf if settings.stop is None else settings.stop
-    for picture in source.pictures():
+    for picture in source.pictures:
         if picture.time > last:
             total = picture.index
             break

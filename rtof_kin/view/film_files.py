@@ -55,69 +55,48 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class VideoSource:
-    """The frames of a video file, upright."""
-
-    path: Path  #: The video
-    metadata: VideoMetadata  #: Of the file
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, px."""
-        return self.metadata.width_px, self.metadata.height_px
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate of the frames in the file, Hz."""
-        return (self.metadata.rate_hz or _USUAL_HZ) / self.metadata.slowed
-
-    def pictures(self) -> Iterator[Picture]:
-        """Generate the frames; stamps are those of the file, also of slow motion."""
-        for frame in read_video(self.path):
-            image = frame.image if frame.image.flags.writeable else frame.image.copy()
-            yield Picture(image, frame.time, frame.time * self.metadata.slowed, frame.index, frame.total)
-
-
-@dataclass(frozen=True)
-class PlainSource:
-    """A plain background at the times of a motion."""
+class FilmSource:
+    """Pictures that are drawn on: of a video file, upright, or plain at the times of a motion."""
 
     size: tuple[int, int]  #: Width and height, px
-    times: Array  #: (T,) s of the motion
-    background: Background  #: Its colour
+    rate_hz: float  #: Mean rate in the file that is written, Hz
+    pictures: Iterator[Picture]
+    metadata: VideoMetadata | None = None  #: Of the video; None without one
 
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate, Hz; 60 for a single picture."""
-        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
+    @classmethod
+    def of_video(cls, path: str | Path, view: PictureView) -> Self:
+        """Return the frames of a video whose picture has the shape of a view's; stamps are those of the file.
 
-    def pictures(self) -> Iterator[Picture]:
-        """Generate a picture for each frame of the motion."""
-        width, height = self.size
-        for i, time in enumerate(self.times.tolist()):
-            image = np.full((height, width, 3), _COLOURS[self.background], dtype=np.uint8)
-            yield Picture(image, time, time - float(self.times[0]), i, len(self.times))
+        Raises:
+            FileFormatError: not a readable video. InvalidInputError: its picture has another shape.
+        """
+        metadata, camera = read_video_metadata(path), view.camera
+        across, down = metadata.width_px / camera.width_px, metadata.height_px / camera.height_px
+        if abs(across / down - 1) > _ASPECT:
+            raise InvalidInputError(
+                f"{path}: is {metadata.width_px} x {metadata.height_px} px upright, the camera of this motion "
+                f"{camera.width_px} x {camera.height_px}; give the video that the motion was computed from, "
+                "uncropped, or --view for another camera"
+            )
 
+        def pictures() -> Iterator[Picture]:
+            for frame in read_video(path):
+                image = frame.image if frame.image.flags.writeable else frame.image.copy()
+                yield Picture(image, frame.time, frame.time * metadata.slowed, frame.index, frame.total)
 
-FilmSource = VideoSource | PlainSource
+        rate_hz = (metadata.rate_hz or _USUAL_HZ) / metadata.slowed
+        return cls((metadata.width_px, metadata.height_px), rate_hz, pictures(), metadata)
 
+    @classmethod
+    def plain(cls, size: tuple[int, int], times: Array, background: Background) -> Self:
+        """Return a picture of one colour for each frame of a motion. `size`: px. `times`: (T,) s."""
 
-def open_source(path: str | Path, view: PictureView) -> VideoSource:
-    """Return the frames of a video whose picture has the shape of a view's.
+        def pictures() -> Iterator[Picture]:
+            for i, time in enumerate(times.tolist()):
+                image = np.full((size[1], size[0], 3), _COLOURS[background], dtype=np.uint8)
+                yield Picture(image, time, time - float(times[0]), i, len(times))
 
-    Raises:
-        FileFormatError: not a readable video. InvalidInputError: its picture has another shape.
-    """
-    metadata = read_video_metadata(path)
-    camera = view.camera
-    across, down = metadata.width_px / camera.width_px, metadata.height_px / camera.height_px
-    if abs(across / down - 1) > _ASPECT:
-        raise InvalidInputError(
-            f"{path}: is {metadata.width_px} x {metadata.height_px} px upright, the camera of this motion "
-            f"{camera.width_px} x {camera.height_px}; give the video that the motion was computed from, "
-            "uncropped, or --view for another camera"
-        )
-    return VideoSource(Path(path), metadata)
+        return cls(size, float(1 / np.median(np.diff(times))) if len(times) > 1 else 60.0, pictures())
 
 
 def scale_of(size: tuple[int, int], view: PictureView) -> float:
@@ -131,27 +110,26 @@ def scale_of(size: tuple[int, int], view: PictureView) -> float:
     return min((across, down), key=lambda scale: abs(scale - 1))
 
 
-def check_size(source: VideoSource, view: PictureView) -> tuple[str, ...]:
-    """Return a sentence if some pixels were cut off or added."""
-    camera, size, scale = view.camera, source.size, scale_of(source.size, view)
+def check_size(path: str | Path, size: tuple[int, int], view: PictureView) -> tuple[str, ...]:
+    """Return a sentence if some pixels of a video were cut off or added. `size`: width and height of it, px."""
+    camera, scale = view.camera, scale_of(size, view)
     wrong = max(abs(size[0] - scale * camera.width_px), abs(size[1] - scale * camera.height_px))
     if wrong <= _ROUNDING_PX:
         return ()
     return (
-        f"{source.path} is {size[0]} x {size[1]} px upright, the camera {camera.width_px} x "
+        f"{path} is {size[0]} x {size[1]} px upright, the camera {camera.width_px} x "
         f"{camera.height_px}: taken as cut or extended by {wrong:.0f} px at the right or lower edge",
     )
 
 
-def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[str, ...]:
+def check_times(path: str | Path, metadata: VideoMetadata, view: PictureView, shift: float) -> tuple[str, ...]:
     """Return sentences on what does not fit between a video and a motion. `shift`: s, added to the times of the video.
 
     Raises:
         InvalidInputError: no frame of the video is at a time of the motion.
     """
     first, last = float(view.video_times[0]), float(view.video_times[-1])
-    seconds, rate = source.metadata.seconds, source.metadata.rate_hz
-    path, notes = source.path, []
+    seconds, rate, notes = metadata.seconds, metadata.rate_hz, list[str]()
     step = float(np.median(np.diff(view.video_times))) if len(view.video_times) > 1 else 0.0
     span = f"the motion is from {first:.2f} to {last:.2f} s of the video that people were detected in"
     if seconds is not None:

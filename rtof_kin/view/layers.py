@@ -14,7 +14,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.packages import optional
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.view.block_content import AXES_LENGTH, BlockContent, SegmentSolids, segment_solids
+from rtof_kin.view.block_content import AXES_LENGTH, BlockContent, segment_solids
 from rtof_kin.view.legend import Rgb
 
 _TRANSPARENT: Final = 0.45  # Opacity of a person beside the motion
@@ -81,8 +81,10 @@ def _put(handle: Any, positions: Array, quat_wxyz: Array, scales: Array) -> None
 class Body:
     """Solids of the segments of one person. `colour`: of all segments; None: that of their provenance."""
 
-    def __init__(self, server: Any, name: str, solids: SegmentSolids, colour: Rgb | None = None, opacity: float = 1.0):
-        self._sizes, self._colour = np.asarray(solids.sizes, dtype=np.float32), colour
+    def __init__(
+        self, server: Any, name: str, skeleton: SkeletonModel, colour: Rgb | None = None, opacity: float = 1.0
+    ):
+        self._sizes, self._colour = np.asarray(segment_solids(skeleton).sizes, dtype=np.float32), colour
         colours = solid_colours(np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (len(self._sizes), 1)))
         shading = {"opacity": None if opacity == 1 else opacity, "cast_shadow": opacity == 1}
         self.handle = _meshes(server, name, barrel(), len(self._sizes), colours, **shading)
@@ -101,9 +103,8 @@ class Person:
     """The motion: segments by provenance, axes of its joints, 95 % ellipsoids of its positions."""
 
     def __init__(self, server: Any, name: str, skeleton: SkeletonModel, confidence: bool):
-        self.skeleton, self.solids = skeleton, segment_solids(skeleton)
         count = len(skeleton.names)
-        self.body = Body(server, f"{name}/segments", self.solids)
+        self.body = Body(server, f"{name}/segments", skeleton)
         self.axes = _axes(server, f"{name}/joint axes", count, AXES_LENGTH)
         self.ellipsoids: Any = None
         if confidence:
@@ -130,9 +131,8 @@ class Companion:
     """Another person at the same times, transparent and of one colour, who may stand beside the motion."""
 
     def __init__(self, server: Any, name: str, skeleton: SkeletonModel, colour: Rgb):
-        self.skeleton, self.solids = skeleton, segment_solids(skeleton)
         self.frame = server.scene.add_frame(name, show_axes=False)
-        self.body = Body(server, f"{name}/segments", self.solids, colour, _TRANSPARENT)
+        self.body = Body(server, f"{name}/segments", skeleton, colour, _TRANSPARENT)
 
 
 @dataclass(frozen=True)

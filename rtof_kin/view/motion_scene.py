@@ -272,14 +272,14 @@ class MotionScene:
     def _compute(self, start: int, stop: int) -> SceneBlock:
         motion = self._motion.read(start, stop)
         skeleton, poses = motion.skeleton, motion.poses
-        content = block_content(poses, skeleton, self.person.solids, start, motion.confidence)
+        content = block_content(poses, skeleton, start, motion.confidence)
         truth = sensors = None
         cameras: list[CameraBlock] = []
         video_times: list[Array] = []
         if self._measurements is not None:
             given = self._measurements.read(start, stop)
             if self.truth is not None and given.truth is not None:
-                truth = block_content(given.truth, skeleton, self.truth.solids, start)
+                truth = block_content(given.truth, skeleton, start)
             if self.sensors is not None:
                 sensors = self.sensors.place(poses, given)
             cameras = [camera_block(view, poses.p_world_joint) for view in given.views]
@@ -294,7 +294,7 @@ class MotionScene:
         at = np.array([frame_at(self._second.times, time) for time in times])
         first, last = int(at.min()), int(at.max())
         found = self._second.read(first, last + 1)
-        content = block_content(found.poses, found.skeleton, self.second.solids, start)
+        content = block_content(found.poses, found.skeleton, start)
         index = at - first
         arrays: dict[str, Any] = {
             field.name: value[index]

@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -103,14 +102,12 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
         confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)
     if confidence.shape != uv.shape[:-1]:
         raise FileFormatError(path, f"confidence: expected shape {uv.shape[:-1]}, got {confidence.shape}")
-    times, identity = _one_of(path, arrays, ("times", "timestamps")), _tracks(arrays)
+    times, identity = _one_of(path, arrays, ("times", "timestamps")), None
+    if "identity" in arrays:
+        identity = np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64)
     if points.ndim == 3:
         uv, confidence = uv[:, None], confidence[:, None]
     return Detections(uv, confidence, times, identity=identity)
-
-
-def _tracks(arrays: dict[str, Array]) -> NDArray[np.int64] | None:
-    return np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64) if "identity" in arrays else None
 
 
 def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Array | None:
@@ -144,7 +141,7 @@ def _read_json(path: Path) -> Detections:
     if isinstance(data, list):
         return _of_list(path, data)
     if not isinstance(data, dict):
-        raise FileFormatError(path, f"holds {_kind(data)}, not people's keypoints")
+        raise FileFormatError(path, f"holds {str(data)[:40]!r}, not people's keypoints")
     if isinstance(data.get("annotations"), list):
         return _by_image(path, data["annotations"], data)
     for key in ("instance_info", "frames"):
@@ -249,7 +246,7 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
         return [_person(path, frame, where)]
     if isinstance(frame, list):
         return _people_listed(path, [frame] if _is_person(frame) else frame, where)
-    raise FileFormatError(path, f"{where}: holds {_kind(frame)}, not people")
+    raise FileFormatError(path, f"{where}: holds {str(frame)[:40]!r}, not people")
 
 
 def _with_scores(people: list[Any], frame: Mapping[str, Any]) -> list[Any]:
@@ -264,7 +261,7 @@ def _with_scores(people: list[Any], frame: Mapping[str, Any]) -> list[Any]:
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
     """Return the listed people that have detected points."""
     if not isinstance(entries, list):
-        raise FileFormatError(path, f"{where}: holds {_kind(entries)}, not a list of people")
+        raise FileFormatError(path, f"{where}: holds {str(entries)[:40]!r}, not a list of people")
     entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]
     return [
         _person(path, entry, f"{where}, person {i}")
@@ -283,7 +280,7 @@ def _is_person(values: Sequence[Any]) -> bool:
 
 def _person(path: Path, entry: Any, where: str) -> Person:
     if not isinstance(entry, dict):
-        raise FileFormatError(path, f"{where}: holds {_kind(entry)}, not a person")
+        raise FileFormatError(path, f"{where}: holds {str(entry)[:40]!r}, not a person")
     values = next((entry[key] for key in _POINTS if key in entry), None)
     if not isinstance(values, list) or not values:
         raise FileFormatError(path, f"{where}: has no field {', '.join(_POINTS)} with a list of points")
@@ -325,8 +322,3 @@ def _identity(entry: Mapping[str, Any]) -> int:
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return int(value) if 0 <= value < 2**53 else NO_IDENTITY
     return NO_IDENTITY
-
-
-def _kind(value: Any) -> str:
-    names = {dict: "a table", list: "a list", str: "text", type(None): "nothing", bool: "true or false"}
-    return names.get(type(value), "a number")

@@ -36,7 +36,7 @@ class ModelFile:
     name: str  #: In the cache
     url: str  #: Of the file, or of a ZIP archive that contains it
     sha256: str  #: Checksum of what is downloaded
-    megabytes: int  #: Largest size of the download and of the file, 1e6 bytes
+    megabytes: int  #: Size of the download, 1e6 bytes
     member: str | None = None  #: Name of the file in the archive; None where it is none
     member_sha256: str | None = None  #: Checksum of that file
 
@@ -142,7 +142,7 @@ def _fetch(file: ModelFile, folder: Path, report: Callable[[int], None]) -> None
 
     pooch.get_logger().setLevel("ERROR")
     with TemporaryDirectory(dir=folder, prefix=".download-") as fresh:
-        downloader = pooch.HTTPDownloader(progressbar=_Progress(file, report), timeout=_WAIT, chunk_size=_PIECE)
+        downloader = pooch.HTTPDownloader(progressbar=_Progress(report), timeout=_WAIT, chunk_size=_PIECE)
         found = Path(pooch.retrieve(file.url, None, "whole", fresh, downloader=downloader))
         _check(found, file.url, file.sha256, "nothing was kept; try again later, or give models of your own")
         if file.member is not None:
@@ -156,17 +156,14 @@ def _fetch(file: ModelFile, folder: Path, report: Callable[[int], None]) -> None
 
 
 class _Progress:
-    """Progress bar for `pooch` that reports bytes, and stops a file larger than the published one."""
+    """Progress bar for `pooch` that reports bytes."""
 
-    def __init__(self, file: ModelFile, report: Callable[[int], None]) -> None:
-        self._file, self._report = file, report
+    def __init__(self, report: Callable[[int], None]) -> None:
+        self._report = report
         self.total = self._size = 0
 
     def update(self, size: int) -> None:
         self._size = min(self._size + size, self.total or self._size + size)
-        if max(self._size, self.total) > self._file.megabytes * 1e6:
-            name, size_mb = self._file.url, self._file.megabytes
-            raise RtofError(f"{name}: larger than {size_mb} MB, so not the file that was published")
         self._report(self._size)
 
     def reset(self) -> None:

@@ -39,9 +39,16 @@ def reject_keypoint_outliers(
     found: list[StreamFault] = []
     landmarks, every = side_pairs(keypoints.landmarks.names), side_pairs(keypoints.names)
     for group, pairs in landmarks.items() if sides else ():
-        faults, exchanged = _exchanges(keypoints.landmarks, group, pairs)
-        found += faults
-        keypoints = _with_sides_corrected(keypoints, exchanged, every[group])
+        uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
+        columns, other = every[group].ravel(), every[group][:, ::-1].ravel()
+        for first, last, closed in list(_exchanged(keypoints.landmarks, pairs)):
+            kind = FaultKind.SIDES if closed else FaultKind.SIDES_IN_DOUBT
+            times = float(keypoints.times[first]), float(keypoints.times[last])
+            found.append(StreamFault(kind, f"keypoints of {group}", *times))
+            if closed:
+                span = slice(first, last + 1)
+                uv[span, columns], confidence[span, columns] = uv[span, other], confidence[span, other]
+                keypoints = replace(keypoints, uv_px=uv, confidence=confidence)
     if person:
         keypoints, faults = _without_other_people(keypoints)
         found += faults
@@ -82,27 +89,6 @@ def _on_lines(since: Array, past: Array) -> Array:
         slope = (off * past).sum(axis=0) / (off**2).sum(axis=0)
         line = past.sum(axis=0) / count - slope * middle
     return np.where(count < _FEWEST_FRAMES, np.nan, line)
-
-
-def _exchanges(landmarks: KeypointSequence, group: str, pairs: Index) -> tuple[list[StreamFault], list[slice]]:
-    """Faults of a group of landmarks, and the frames whose sides are to be exchanged back."""
-    times, faults, spans = landmarks.times, [], []
-    for first, last, closed in _exchanged(landmarks, pairs):
-        kind = FaultKind.SIDES if closed else FaultKind.SIDES_IN_DOUBT
-        faults.append(StreamFault(kind, f"keypoints of {group}", float(times[first]), float(times[last])))
-        if closed:
-            spans.append(slice(first, last + 1))
-    return faults, spans
-
-
-def _with_sides_corrected(keypoints: KeypointSequence, spans: list[slice], pairs: Index) -> KeypointSequence:
-    if not spans:
-        return keypoints
-    uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
-    columns, other = pairs.ravel(), pairs[:, ::-1].ravel()
-    for span in spans:
-        uv[span, columns], confidence[span, columns] = uv[span, other], confidence[span, other]
-    return replace(keypoints, uv_px=uv, confidence=confidence)
 
 
 def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int, int, bool]]:

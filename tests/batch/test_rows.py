@@ -19,8 +19,6 @@ from rtof_kin.batch.rows import Row, RowFile, read_rows
     [
         b'{"run": 9, "row": {"recording": "a", "verd',
         b"\x00\xff\n",
-        b"[]\n",
-        b'{"run": "x", "row": {}}\n',
         b'{"run": 9, "row": {"recording": 3}}\n',
         b'{"run": 9, "row": {"recording": "a", "frames": "many"}}\n',
         b'{"run": 9, "row": {"recording": "a", "seconds": NaN}}\n',
@@ -36,16 +34,9 @@ def test_damaged_lines_are_ignored_and_left_out_by_the_next_run(line: bytes, tmp
     again = RowFile(path, 2, found)
     again.add(Row("b", "warn"))
     assert [json.loads(text)["row"]["recording"] for text in path.read_text().splitlines()] == ["a", "b"]
-
-
-def test_the_latest_run_counts_in_whatever_file(tmp_path: Path) -> None:
-    files = [RowFile(tmp_path / name, run, {}) for name, run in (("x", 3), ("y", 2), ("z", 3))]
-    files[0].add(Row("a", "warn"))
-    files[0].add(Row("a", "pass"))
-    files[1].add(Row("a", "fail"))
-    files[2].add(Row("b", "fail"))
-    for order in (files, files[::-1]):
-        assert {n: r.verdict for n, (_, r) in read_rows(f.path for f in order).items()} == {"a": "pass", "b": "fail"}
+    RowFile(tmp_path / "other", 1, {}).add(Row("b", "fail"))
+    for order in ([path, tmp_path / "other"], [tmp_path / "other", path]):  # the latest run counts in whatever file
+        assert {name: row.verdict for name, (_, row) in read_rows(order).items()} == {"a": "pass", "b": "warn"}
 
 
 ROWS = [
@@ -69,14 +60,12 @@ def test_rows_are_escaped_and_linked(tmp_path: Path) -> None:
     assert page.index("weakly observed") < page.index(">e<")
 
 
-def test_very_many_rows_have_pages_and_old_pages_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROWS_PER_PAGE", 2)
+def test_the_page_has_the_worst_of_very_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_ROWS", 2)
     module.write_index(tmp_path, ROWS, 5, "takes")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["index-2.html", "index-3.html", "index.html"]
-    assert '<a href="index.html">1</a> <b>2</b> <a href="index-3.html">3</a>' in (tmp_path / "index-2.html").read_text(
-        encoding="utf-8"
-    )
-    module.write_index(tmp_path, ROWS[:2], 5, "takes")
-    assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "The page has the worst 2, batch.csv all." in page
+    assert "it fails" in page
+    assert "xxx" not in page
     module.write_index(tmp_path, [], 5, "takes")
     assert "0 of 5" in (tmp_path / "index.html").read_text(encoding="utf-8")

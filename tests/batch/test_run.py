@@ -24,7 +24,6 @@ from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Row
 from rtof_kin.batch.run import Batch, check_chain, claim, run_batch
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
-from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.jobs import Engine, InThisProcess
 
 VERDICTS = {"e": "error", "s1/a": "pass", "s1/b": "warn", "s2/c": "fail", "s2/d": "error"}
@@ -139,19 +138,6 @@ def test_a_file_that_an_option_names_counts_by_its_content(root: Path, out: Path
         model.write_text(content)
         run(batch_of(one, out, f"reconstruct --model {model}"))
         assert calls(log)["a reconstruct"] == times
-
-
-def test_a_temporary_folder_of_a_killed_run_is_removed_although_all_is_done(root: Path, out: Path, log: Path) -> None:
-    one = write_recordings(root.parent / "one", a="pass")
-    run(batch_of(one, out))
-    with temporary_folder(out / "a") as folder:
-        name = folder.name
-    (out / "a" / name).mkdir()
-    (out / "a" / name / "batch.json").write_text("half of it")
-    before = calls(log)
-    run(batch_of(one, out))
-    assert not list(out.rglob(".rtof_kin-*"))
-    assert calls(log) == before
 
 
 def test_overwriting_does_everything_again_even_where_it_was_interrupted(root: Path, out: Path, log: Path) -> None:

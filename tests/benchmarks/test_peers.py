@@ -142,13 +142,7 @@ def test_ceres_and_the_package_find_the_same_minimum(cartesian: CartesianScene, 
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        CartesianSettings(),
-        replace(PAPER, huber_reprojection=2.0),
-        replace(PAPER, sigma_reprojection=None),
-        replace(PAPER, prior="bones"),
-    ],
+    "settings", [CartesianSettings(), replace(PAPER, huber_reprojection=2.0), replace(PAPER, sigma_reprojection=None)]
 )
 def test_other_cartesian_energies_are_refused(material: Material, settings: CartesianSettings) -> None:
     with pytest.raises(InvalidInputError, match="use CartesianSettings.paper"):

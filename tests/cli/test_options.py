@@ -66,7 +66,7 @@ def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: An
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["energy"]) == ("cartesian", "as printed")
-    assert (found["fragment"]["k_V"], found["fragment"]["bone_lengths"]) == (0.9, "free")
+    assert (found["fragment"]["k_V"], found["fragment"]["as_printed"]) == (0.9, True)
     assert (found["guards"], found["lift_with_sensors"]) == ("", False)
     assert found["lifter"] == "perfect"
     assert "stream_faults" not in summary

@@ -443,11 +443,6 @@ def test_signs_are_those_of_the_table() -> None:
     assert angles.sigma is None
 
 
-def test_radians_are_radians() -> None:
-    angles, _ = opensim_angles(table(in_degrees=False, knee_angle_r=1.5))
-    assert angles["right_knee_flexion"] == pytest.approx([1.5] * 3)
-
-
 def test_turns_are_continuous_and_within_the_range_of_the_angle() -> None:
     values = np.array([[350.0], [355.0], [2.0]])
     angles, _ = opensim_angles(OpenSimTable(np.arange(3.0), ("hip_flexion_r",), values, True))

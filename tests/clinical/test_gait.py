@@ -150,14 +150,6 @@ def test_mean_and_standard_deviation_of_cycle_curves() -> None:
     assert np.isnan(replace(known, curves=curves[:1]).sd).all()
 
 
-def test_standing_has_no_strides() -> None:
-    gait = analysed(planted.standing(BODY, 120).poses)
-    assert gait.strides == ()
-    assert gait.summary == {}
-    assert any("right foot: no heel strike in 2.0 s" in note for note in gait.notes)
-    assert any("symmetry" in note for note in gait.notes)
-
-
 def test_an_unobserved_leg_has_no_events() -> None:
     poses = swinging_legs()
     provenance = np.full(poses.valid.shape, Provenance.CAMERA_AND_IMU, dtype=np.uint8)
@@ -320,22 +312,16 @@ def test_treadmill_walking_is_gait_on_the_spot() -> None:
     assert verdict.on_the_spot
 
 
+def moved_to(p: Array, R: Array) -> PoseSequence:
+    """Observed poses at 60 Hz."""
+    return all_observed(PoseSequence(np.arange(len(p)) / 60, p, R, BODY.names))
+
+
 def standing_first(motion: Motion, seconds: float) -> Motion:
     """A motion whose first frame is held before it."""
     poses, held = motion.poses, round(60 * seconds)
     p, R = (np.concatenate([np.repeat(x[:1], held, axis=0), x]) for x in (poses.p_world_joint, poses.R_world_bone))
-    longer = replace(
-        poses,
-        times=np.arange(len(p)) / 60,
-        p_world_joint=p,
-        R_world_bone=R,
-        provenance=None,
-        valid=None,
-        orientation_observed=None,
-        direction_observed=None,
-        sigma_rad=None,
-    )
-    return BODY.motion(all_observed(longer))
+    return BODY.motion(moved_to(p, R))
 
 
 @pytest.mark.parametrize(("seconds", "strides"), [(1.8, 1), (2.4, 2)])
@@ -403,18 +389,7 @@ def test_a_walk_among_other_movements_is_judged_by_its_share_of_strides() -> Non
     walk_poses, back = walking(6.0).poses, turned.poses
     p = np.concatenate([walk_poses.p_world_joint, back.p_world_joint + np.array([6.6, 0, 0])])
     R = np.concatenate([walk_poses.R_world_bone, back.R_world_bone])
-    both = replace(
-        walk_poses,
-        times=np.arange(len(p)) / 60,
-        p_world_joint=p,
-        R_world_bone=R,
-        provenance=None,
-        valid=None,
-        orientation_observed=None,
-        direction_observed=None,
-        sigma_rad=None,
-    )
-    mixed = analyse_gait(gait_events(body_paths(all_observed(both), BODY)))
+    mixed = analyse_gait(gait_events(body_paths(moved_to(p, R), BODY)))
     assert len(mixed.verdict.walking) >= len(gait.strides) - 1
     assert not mixed.is_gait
     assert "backward or sideways" in mixed.why_not or "stance takes less" in mixed.why_not

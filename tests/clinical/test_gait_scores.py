@@ -223,7 +223,7 @@ def test_people_are_scored_against_the_mean_of_the_others() -> None:
     scores = people_scores(reference_of(curves))
     assert scores is not None
     others = np.delete(curves, 2, axis=0).mean(axis=(0, 1))
-    assert scores[1][2, 0] == pytest.approx(np.sqrt(np.mean((curves[2, 0] - others) ** 2)))
+    assert scores[2, 0, -1] == pytest.approx(np.sqrt(np.mean((curves[2, 0] - others) ** 2)))
     assert people_scores(means_only()) is None
 
 

@@ -42,17 +42,14 @@ def test_way_of_a_planted_walk(heading: float) -> None:
     assert (way.observed_share, way.notes) == (1, ())
 
 
-@pytest.mark.parametrize(("speed", "word"), [(1.0, "forward"), (-1.0, "backward")])
-def test_direction_is_told_from_where_the_person_faces(speed: float, word: str) -> None:
-    assert of(walking(speed=speed, heading=1.0)).way == word
-
-
-def test_walking_sideways_has_its_direction() -> None:
+def test_direction_is_told_from_where_the_person_faces() -> None:
     motion = walking()
     p = np.array(motion.poses.p_world_joint)
     p[..., :2] = p[..., :2] - p[:, :1, :2]
     p[..., 1] += (0.5 * motion.times)[:, None]
-    assert of(BODY.motion(motion.poses.with_poses(slice(None), p))).way == "to the left"
+    sideways = BODY.motion(motion.poses.with_poses(slice(None), p))
+    ways = [of(one).way for one in (walking(heading=1.0), walking(speed=-1.0, heading=1.0), sideways)]
+    assert ways == ["forward", "backward", "to the left"]
 
 
 @pytest.mark.parametrize("sign", [1, -1])

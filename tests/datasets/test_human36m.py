@@ -195,7 +195,7 @@ def changed_source(old: str, new: str) -> str:
         ("h36m_cameras_intrinsic_params", "x", "there is no h36m_cameras_intrinsic_params"),
         ("intrinsic_params = [", "intrinsic_params = [open('x'), ", "is read, never run"),
         ("'54138969'", "'1'", "cameras 1, 55011271, 58860488, 60457274; expected 54138969"),
-        ("'focal_length'", "'f'", r"h36m_cameras_intrinsic_params.1\] focal_length: missing; add 2 numbers"),
+        ("'focal_length'", "'f'", r"h36m_cameras_intrinsic_params.1\] focal_length: missing; add it"),
         ("'orientation': [", "'orientation': [0.0, ", r"params.S9.1\] orientation: expected 4 numbers"),
         ("[{}, {}, {}, {}]", "[{}]", "S2 does not have four cameras"),
     ],

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -418,22 +417,10 @@ def test_zero_position_or_orientation_is_unknown(tmp_path: Path, paths: dict[str
     assert "gt_skel_gbl_ori.txt holds no orientation" in said(found)
 
 
-def test_a_sensor_without_calibration_is_left_out(tmp_path: Path, paths: dict[str, Path]) -> None:
-    rows = [row for row in support.lines(paths["ref"]) if not row.startswith("L_Foot")]
-    rows[0] = "12\n"
-    paths["ref"].write_text("".join(rows))
-    found = TotalCapture(tmp_path).take(*ONE)
-    assert len(found.imus.names) == 12
-    assert "L_Foot" not in found.imus.names
-    assert "L_Foot" in said(found)
-
-
 def imus_without_check(imus, f_sensor):  # type: ignore[no-untyped-def]
     """The sequence with a specific force that its class would refuse."""
     out = object.__new__(type(imus))
-    for field in ("times", "R_inertial_sensor", "names"):
-        object.__setattr__(out, field, getattr(imus, field))
-    object.__setattr__(out, "f_sensor", f_sensor)
+    vars(out).update(vars(imus) | {"f_sensor": f_sensor})
     return out
 
 
@@ -444,6 +431,30 @@ def test_known_glitches_of_the_reference_are_invalid(root: Path, monkeypatch: py
     assert np.flatnonzero(~found.truth.valid.all(axis=1)).tolist() == [*range(18, 28), *range(38, 44)]
     assert np.isfinite(found.truth.p_world_joint).all()
     assert "glitch" in said(found)
+
+
+def test_noise_depends_on_take_camera_and_seed(take: Take) -> None:
+    def noise(own: Take, camera: int = 1, seed: int = 0) -> np.ndarray:
+        noisy = own.recording(camera, noise_px=5.0, seed=seed).video.uv_px
+        return np.ravel(noisy - own.recording(camera).video.uv_px)
+
+    one = noise(take)
+    assert one.std() == pytest.approx(5.0, rel=0.05)
+    np.testing.assert_array_equal(one, noise(take))
+    for other in (noise(take, seed=1), noise(take, 4), noise(replace(take, name="acting1"))):
+        assert abs(np.corrcoef(one, other)[0, 1]) < 0.1
+
+
+def test_wrong_names_and_noise_on_detections_are_refused(take: Take, root: Path) -> None:
+    keypoints = take.recording(1).video
+    with pytest.raises(UnknownNameError, match=r"sensor.*'L_Hand'.*Head"):
+        take.recording(1, sensors=("L_Hand",))
+    with pytest.raises(UnknownNameError, match="'S4 acting3'"):
+        TotalCapture(root).take("S4", "acting3")
+    with pytest.raises(UnknownNameError, match=r"camera '9'.*1, 2, 3"):
+        check_keypoints(take, 9, keypoints)
+    with pytest.raises(InvalidInputError, match="not to a detector's"):
+        take.recording(1, keypoints, noise_px=2.0)
 
 
 # --- conversions, by hand ------------------------------------------------------------------------
@@ -499,30 +510,3 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     p[::2, NAMES.index("Head")] += 1.0
     files.write_joints(paths["positions"], p)
     assert any("bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE))))
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"camera": 9}, UnknownNameError, r"camera '9'.*1, 2, 3"),
-        ({"sensors": ("L_Hand",)}, UnknownNameError, r"sensor.*'L_Hand'.*Head"),
-    ],
-)
-def test_wrong_options(options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path) -> None:
-    with pytest.raises(error, match=message):
-        take.recording(**{"camera": 1} | options)
-    with pytest.raises(UnknownNameError, match="'S4 acting3'"):
-        TotalCapture(root).take("S4", "acting3")
-
-
-def test_keypoints_need_their_camera_and_get_no_noise(take: Take) -> None:
-    keypoints = take.recording(1).video
-    with pytest.raises(UnknownNameError, match=r"camera '9'.*1, 2, 3"):
-        check_keypoints(take, 9, keypoints)
-    with pytest.raises(InvalidInputError, match="not to a detector's"):
-        take.recording(1, keypoints, noise_px=2.0)
-    with pytest.raises(UnknownNameError, match=r"camera '1'.*calibration\.cal"):
-        replace(take, cameras={}).recording(1)
-    whole = len(take.truth)
-    notes = take.recording(1, keypoints[: whole - 20]).notes
-    assert f"video of {whole - 20} frames, reference of {whole}" in notes

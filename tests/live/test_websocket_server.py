@@ -238,14 +238,13 @@ def test_what_is_not_plain_or_of_another_skeleton_is_refused(server: WebSocketSe
         server.send(OnlineEstimate(other, 0.0, 0.0))
 
 
-def test_taken_port_and_foreign_host_name_the_remedy(server: WebSocketServer) -> None:
+def test_taken_port_names_the_remedy(server: WebSocketServer) -> None:
     port = urlsplit(server.url).port
     assert port is not None
     with pytest.raises(SourceError, match=f"{port}.*another port"):
         WebSocketServer(BODY, port)
-    for wrong in ({"port": 70_000}, {"host": "192.0.2.1"}, {"host": "no such host"}):
-        with pytest.raises(SourceError, match="serve"):
-            WebSocketServer(BODY, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(SourceError, match="serve"):
+        WebSocketServer(BODY, 70_000)
 
 
 def test_close_ends_connections_and_may_be_repeated() -> None:

@@ -49,6 +49,11 @@ def test_poses_are_those_of_the_body_within_its_limits(name: str, who: str) -> N
     assert np.abs(motion.poses.p_world_joint - poses.p_world_joint).max() < 1e-9
     assert np.degrees(motion.report.limit_excess.max()) < 1.0
     assert not motion.report.singular.any()
+    v = np.gradient(poses.p_world_joint, poses.times, axis=0)
+    a = np.gradient(v, poses.times, axis=0)
+    assert np.linalg.norm(v, axis=-1).max() < 4.5  # of people
+    assert np.linalg.norm(a, axis=-1).max() < 60
+    assert np.linalg.norm(v[0], axis=-1).max() < 0.1
 
 
 @EACH
@@ -96,6 +101,9 @@ def test_walking_is_recognised(name: str, who: str) -> None:
     assert gait.verdict.why_not == ""
     swing = np.degrees(angles.select(["right_knee_flexion"]).values[:, 0])
     assert 50 < swing.max() < 120
+    path = poses.p_world_joint[:, 0, :2]  # from the origin along x and back
+    assert np.linalg.norm(path[0]) < 0.4
+    assert path[:, 0].max() > 2.0
 
 
 def test_an_impossible_request_is_refused() -> None:

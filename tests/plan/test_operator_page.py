@@ -92,9 +92,7 @@ def test_the_page_has_all_sensors_and_numbers_and_escapes_texts() -> None:
     assert html.index("Before you begin") < html.index("What to do")
     assert "Before you begin" not in page(doubts=())
 
-
-def test_the_page_needs_no_network() -> None:
-    html = page()
+    # It needs no network.
     (drawing,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', html)
     assert base64.b64decode(drawing).startswith(b"<svg>")
     rest = html.replace(drawing, "")

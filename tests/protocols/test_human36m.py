@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import human36m_files as h36m
-import matplotlib.image
 import numpy as np
 import pytest
 from lifting_support import TABLE_17, untrained_lifter
@@ -118,10 +117,6 @@ def test_the_table_has_the_papers_rows_then_ours_then_no_motion(measured: Path) 
     assert "S9, S11, cameras 1, 36 frames, all pooled; ground-truth 2D" in table["notes"][0]
     assert "lifter17.pt" in table["notes"][0]
     assert not any("INCOMPLETE" in note for note in table["notes"])
-    for name, least in {"error_curves": 500, "skeletons": 400}.items():
-        pixels = matplotlib.image.imread(measured / "out" / "figures" / f"{name}.png")
-        assert pixels.shape[0] > least
-        assert len(np.unique(pixels[::4, ::4].reshape(-1, pixels.shape[-1]), axis=0)) > 50
 
 
 def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_path: Path) -> None:

@@ -151,6 +151,14 @@ def test_the_ablation_has_the_papers_figures_and_the_calibration_rows() -> None:
     assert row(inertial, "DIP (6 IMUs)")["MPJJE [m/s3]"] == 159.1
 
 
+def test_the_multi_view_table_has_its_own_cameras_and_frames() -> None:
+    done = measured("S1", "walking2", 1, lift=scores(0, 1000, sixteen_mm=10, sixteen_frames=1))
+    done |= measured("S1", "walking2", 3, lift=scores(0, 10, sixteen_mm=40, sixteen_frames=2))
+    done |= measured("S1", "walking2", 4, lift=scores(0, 10, sixteen_mm=999, sixteen_frames=9))
+    table = tables_of(protocol(cameras=(1, 3, 4), modes=("lift",)), done)["sixteen_joints"]
+    assert row(table, "lift, ours, each camera alone")["absolute MPJPE [mm]"] == pytest.approx(30)
+
+
 WHY = "gt_skel_gbl_pos.txt is damaged"
 WALK = "S1 walking2"
 

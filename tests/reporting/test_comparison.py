@@ -206,14 +206,3 @@ def test_page_draws_in_a_browser_without_requests_at_any_width(planted_change: C
         assert len(printed["data"]) > 10_000
         assert browser.errors == []
         assert [url for url in browser.requests if not url.startswith("file:")] == []
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_page_of_ranges_has_no_charts_and_no_error(tmp_path: Path) -> None:
-    file = tmp_path / "ranges.html"
-    file.write_text(page(document(compare(one("a", TIMES, COLUMNS_A), one("b", TIMES, COLUMNS_B), "range"))))
-    with BrowserPage(tmp_path / "profile", 800, 600) as browser:
-        browser.open(file.as_uri())
-        browser.until("document.documentElement.dataset.state === 'ready'")
-        assert browser.value("document.querySelectorAll('figure').length") == 0
-        assert browser.errors == []

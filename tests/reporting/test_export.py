@@ -13,7 +13,7 @@ import pytest
 
 from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.formats.measurements_file import read_measurements
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -169,10 +169,3 @@ def test_limit_violations_are_in_degrees(result: Reconstruction) -> None:
     q[3, 7] = BODY.limits[0, 1] + np.radians(12.0)
     found = summary(replace(result, motion=replace(result.motion, q=q, report=BODY.check(q))))
     assert found["limit_violations_deg"][BODY.dof_names[0]] == pytest.approx(12.0)
-
-
-def test_an_earlier_export_is_replaced_only_on_request(result: Reconstruction, tmp_path: Path) -> None:
-    export(result, tmp_path / "out", figures=False)
-    with pytest.raises(OutputExistsError, match="overwrite"):
-        export(result, tmp_path / "out", figures=False)
-    export(result, tmp_path / "out", overwrite=True, figures=False)

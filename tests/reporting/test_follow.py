@@ -90,7 +90,7 @@ def test_a_plan_names_orders_and_declares(tmp_path: Path) -> None:
     "text, words",
     [
         ('by = "cycles"', "Did you mean 'cycle'"),
-        ('[better]\ngait_speed = "more"', "Known: up, down, zero"),
+        ('[better]\ngait_speed = "more"', "not one of up, down, zero"),
         ("[bands]\nvisit = 0.5", "bands"),
         ('[[visit]]\nname = "a"', "folder: missing"),
         ('[[visit]]\nfolder = "a"\ndate = "1.2.2026"', "2026-01-31"),

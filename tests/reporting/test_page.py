@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import planted
 import pytest
 from clinical_support import walk
 from hypothesis import given
@@ -26,11 +25,12 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import document, plot_data
+from rtof_kin.reporting.analysis import gait_table
 from rtof_kin.reporting.angle_names import angle_name, side_and_name
-from rtof_kin.reporting.audit_results import AuditResult, Grade
-from rtof_kin.reporting.document import Document, Section, badge
+from rtof_kin.reporting.audit_results import AuditResult
+from rtof_kin.reporting.document import Document, Section
 from rtof_kin.reporting.html import asset, css_string
-from rtof_kin.reporting.page import gait_table, range_tables, report, way_line
+from rtof_kin.reporting.page import range_tables, report, way_line
 from rtof_kin.reporting.plot_data import (
     angle_curves,
     cycle_curves_data,
@@ -125,24 +125,9 @@ def test_the_header_names_the_session_and_says_how_good(html: str, page: Page) -
         assert text in recording
 
 
-def test_a_camera_that_is_not_calibrated_has_a_table(page: Page, tmp_path: Path) -> None:
-    assert "not calibrated" not in page.text["calibration"]
-    estimate = {"columns": ["quantity", "value"], "rows": [["focal length", "900 px"]]}
-    text = text_of(folder_of(walk(), tmp_path / "out", inputs={"camera_estimate": estimate}), "calibration")
-    assert "The camera is not calibrated" in text
-    assert "focal length 900 px" in text
-
-
-def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path) -> None:
+def test_options_settings_notes_and_an_estimated_camera_are_shown(html: str, tmp_path: Path) -> None:
     assert "How the recording was made" not in html
-    inputs = INPUTS | {"notes": "doubtful: <b>its heading\nassumed: the floor is flat"}
-    folder = folder_of(walk(), tmp_path / "out", inputs=inputs)
-    written = report(folder, made=TODAY)
-    assert "<li>doubtful: &lt;b&gt;its heading</li><li>assumed: the floor is flat</li>" in written
-    assert Page(written).wrong == []
-
-
-def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
+    assert "The camera is not calibrated" not in html
     settings = {
         "space": "cartesian",
         "energy": "as printed",
@@ -153,18 +138,25 @@ def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
         "threads": 1,
         "guards": "",
     }
-    folder = folder_of(walk(), tmp_path / "out", inputs=INPUTS, settings=settings, audit=None)
-    options = {"session": Session(subject="P08")}
-    assert "P08: motion report" in text_of(folder, **options)
-    assert "without an audit" in text_of(folder, **options)
-    recording = text_of(folder, "recording", **options)
-    for text in (
-        "2026-01-31",
-        "perfect, from the image alone",
-        "Outlier rejection off",
-        "cartesian space, energy: as printed; 20 frames a fragment",
+    estimate = {"columns": ["quantity", "value"], "rows": [["focal length", "900 px"]]}
+    inputs = INPUTS | {"notes": "doubtful: <b>its heading\nassumed: the floor is flat", "camera_estimate": estimate}
+    folder = folder_of(walk(), tmp_path / "out", inputs=inputs, settings=settings, audit=None)
+    written = report(folder, session=Session(subject="P08"), made=TODAY)
+    found = Page(written)
+    assert found.wrong == []
+    text = {section: " ".join(own.split()) for section, own in found.text.items()}
+    for section, words in (
+        ("", "P08: motion report"),
+        ("", "without an audit"),
+        ("recording", "2026-01-31"),
+        ("recording", "perfect, from the image alone"),
+        ("recording", "Outlier rejection off"),
+        ("recording", "cartesian space, energy: as printed; 20 frames a fragment"),
+        ("calibration", "The camera is not calibrated"),
+        ("calibration", "focal length 900 px"),
     ):
-        assert text in recording
+        assert words in text[section]
+    assert "<li>doubtful: &lt;b&gt;its heading</li><li>assumed: the floor is flat</li>" in written
 
 
 def test_sections_have_verdicts_reasons_and_limits(page: Page) -> None:
@@ -234,20 +226,15 @@ def test_gaps_are_left_open_and_described(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"recording": 7}, "recording"),
-        ({"settings": {"space": 7}}, "settings, space"),
         ({"inputs": []}, "inputs: no table; reconstruct again"),
         ({"inputs": {"sensors": {}, "subject": "me"}}, "inputs, subject: no table"),
-        ({"inputs": {"sensors": "none"}}, "inputs, sensors: no list"),
         ({"inputs": {"sensors": [{"rate_hz": "fast"}]}}, "inputs, sensors, rate_hz: 'fast'"),
         ({"inputs": {"session": {"subject": ["a"]}}}, "inputs, session, subject: \"['a']\""),
         ({"inputs": {"session": {"date": "soon"}}}, "session date: 'soon'"),
-        ({"inputs": {"sensors": [{"lever_arm_m": "far"}]}}, "inputs, sensors, lever_arm_m: 'far'"),
         ({"inputs": {"sensors": [{"lever_arm_m": ["far"]}]}}, "inputs, sensors, lever_arm_m: "),
-        ({"inputs": {"calibration": {"rows": 3}}}, "inputs, calibration, rows: no list"),
         ({"inputs": {"calibration": {"rows": [3]}}}, "inputs, calibration, rows: no list"),
         ({"inputs": {"floor_height_m": "low"}}, "inputs, floor_height_m"),
         ({"audit": [{"section": "image"}]}, "name is 'None', no text; reconstruct again"),
-        ({"audit": {}}, "audit: no list"),
     ],
 )
 def test_invalid_summaries_are_rejected(tmp_path: Path, change: dict[str, Any], message: str) -> None:
@@ -310,14 +297,6 @@ def test_player_marks_unobserved_bones() -> None:
     assert {j: spans for j, spans in enumerate(unseen) if spans} == {j: [(40, 60)] for j in leg}
     halved = player_data(replace(motion, poses=poses), slice(None, None, 2), 0.0)["unseen"]
     assert halved[leg[0]] == [(20, 30)]
-
-
-def test_long_recordings_are_plotted_at_fewer_frames(tmp_path: Path) -> None:
-    motion = planted.moving(SkeletonModel.default(), 3600)
-    html = report(folder_of(motion, tmp_path / "out"), made=TODAY)
-    assert len(plotted_data(html)["player"]["times"]) == 1800
-    assert "30 frames per second" in Page(html).text["angles"]
-    assert len(html) < 600_000
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no headless browser here")
@@ -497,16 +476,6 @@ def test_few_reliable_frames_have_no_range_and_no_difference_of_the_sides() -> N
     assert (right, ends, peak) == ("<small>reliable only 11 %</small>", "", "")
 
 
-def test_good_poor_and_wrong_have_other_words_signs_and_shapes() -> None:
-    grades = (Grade.PASS, Grade.WARN, Grade.FAIL)
-    assert [*map(badge, grades)] == ["good", "use with care", "do not use"]
-    assert [badge(grade).grade for grade in grades] == ["pass", "warn", "fail"]
-    style = asset("page.css")
-    signs = re.findall(r'\.grade\.(pass|warn|fail)::before \{ content: "(.+?)"', style)
-    assert len({sign for _, sign in signs}) == 3
-    assert ".grade.fail { background: var(--fail)" in style
-
-
 def test_the_figure_opens_on_a_frame_in_which_the_person_is_seen() -> None:
     motion = walk()
     valid, observed = motion.poses.valid.copy(), motion.poses.orientation_observed.copy()
@@ -535,8 +504,7 @@ def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -
 def test_the_way_says_how_far_and_which_way_it_turned() -> None:
     way = analyse(walk()).travel
     text = way_line(way)
-    assert f"{way.path_length:.1f} m along its path" in text
-    assert "without turns" in text
+    assert text == f"{way.text}."
     turned = replace(way, turned_left=np.pi, turned_left_sigma=np.radians(5.0), observed_share=0.5)
     text = way_line(turned)
     assert "turning 180 ± 10° left" in text

@@ -125,20 +125,6 @@ def test_a_phone_shows_the_main_angles_within_a_few_screens(opened: BrowserPage)
     assert opened.value(height) > short + 2000
 
 
-def test_faults_of_a_layout_are_found(opened: BrowserPage) -> None:
-    for style, fault in (
-        ("width: 1px; overflow-wrap: anywhere", "lines: "),
-        ("width: 3rem; overflow: hidden; white-space: nowrap", "cut: "),
-        ("position: absolute; right: -5rem", "outside the page: "),
-    ):
-        opened.value(
-            "document.body.insertAdjacentHTML('beforeend', '<p id=planted>a planted line</p>');"
-            f"document.getElementById('planted').style.cssText = '{style}'"
-        )
-        assert any(fault in found and "a planted" in found for found in opened.layout_faults()), style
-        opened.value("document.getElementById('planted').remove()")
-
-
 def test_paper_has_at_most_six_pages_without_what_is_folded(paper: PdfReader) -> None:
     texts = printed(paper)
     assert len(texts) <= 6
@@ -155,17 +141,6 @@ def test_paper_has_at_most_six_pages_without_what_is_folded(paper: PdfReader) ->
     (table,) = [text for text in texts if "Right and left" in text]
     rows = table[table.index("Right and left") :]
     assert all(f"{name} +" in rows for name in names)
-
-
-def test_pages_of_paper_are_full(paper: PdfReader) -> None:
-    for page in paper.pages[:-1]:
-        lowest: list[float] = []
-        page.extract_text(
-            visitor_text=lambda text, cm, tm, *_, to=lowest: to.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
-        )
-        height = float(page.mediabox[3])
-        body = [y / height for y in lowest if y / height > 0.06]  # above the foot
-        assert min(body) < 0.3, f"{100 * min(body):.0f} % of the page are empty"
 
 
 def test_folded_parts_are_printed_if_asked_for(opened: BrowserPage, url: str, tmp_path: Path) -> None:

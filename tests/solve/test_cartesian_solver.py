@@ -88,13 +88,13 @@ def test_the_estimated_sigma_stays_in_its_range_and_a_given_one_is_kept(scene: S
 
 def test_blends_are_means_or_tapered_weights_of_both_fragments() -> None:
     s = Scene(SMALL, 12)
-    for blend in ("average", "tapered"):
-        solver = Inspected(SMALL, 8, replace(PLAIN, blend=blend), SMALL_SENSORS)
+    for as_printed in (True, False):
+        solver = Inspected(SMALL, 8, replace(PLAIN, as_printed=as_printed), SMALL_SENSORS)
         out = solver.solve(s.start, s.seen, s.imus).poses.p_world_joint
         for block in range(3):
             before, after = solver.answers[block][4:], solver.answers[block + 1][:4]
             frames = out[4 * block : 4 * block + 4]
-            if blend == "average":
+            if as_printed:
                 np.testing.assert_allclose(frames, (before + after) / 2, atol=1e-12)
                 continue
             share = np.sum((frames - before) * (after - before), axis=(1, 2))
@@ -108,7 +108,7 @@ def test_weighted_lengths_are_kept_to_millimetres(scene: Scene, solution: Fragme
     weighted = np.abs(length_errors(solution.poses.p_world_joint, BODY))
     assert weighted.mean() < 0.002
     assert weighted.max() < 0.012
-    free = body(replace(DEFAULT, bone_lengths="free")).solve(scene.start, scene.seen, scene.imus)
+    free = body(replace(DEFAULT, as_printed=True)).solve(scene.start, scene.seen, scene.imus)
     assert np.abs(length_errors(free.poses.p_world_joint, BODY)).max() > 0.03
     assert {f.infeasibility for f in free.fragments} == {0.0}
 

@@ -67,7 +67,7 @@ def parameters(problem: FragmentProblem, X: Array, seed: int) -> dict[str, Array
     B, (a, b) = len(problem.sensor_bones), np.array(problem.pairs).T
     w_visual = gaps(rng, rng.uniform(0, 0.01, (J, N))).T.ravel()
     uv = (cam.project(X) + rng.normal(size=(N, J, 2)) * 15).reshape(-1, 2)
-    jerks = N - 3 if problem.settings.jerk_target == "sensor" else 0
+    jerks = N - 3 if problem.settings.as_printed else 0
     return {
         "R_camera_world": cam.R_camera_world,
         "t_camera_world": cam.t_camera_world,

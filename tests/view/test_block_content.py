@@ -21,7 +21,7 @@ def test_solids_reach_from_joint_to_joint() -> None:
     motion = walking(FRAMES)
     skeleton, poses = motion.skeleton, motion.poses
     solids = segment_solids(skeleton)
-    content = block_content(poses, skeleton, solids)
+    content = block_content(poses, skeleton)
     R = so3.from_quat_wxyz(content.solids_wxyz)
     for child, parent in enumerate(skeleton.parents):
         joint = skeleton.table.joints[parent]
@@ -63,7 +63,7 @@ def test_hand_without_a_point_beyond_the_wrist_is_grey_however_well_the_wrist_is
     flags = np.array(motion.poses.orientation_observed)
     flags[:, hand] = False
     poses = replace(motion.poses, orientation_observed=flags, direction_observed=flags)
-    content = block_content(poses, motion.skeleton, segment_solids(motion.skeleton))
+    content = block_content(poses, motion.skeleton)
     assert tuple(content.colours[0, hand]) == COLOURS[Provenance.PRIOR]
     forearm = motion.skeleton.index("LeftForeArm")[0]
     assert tuple(content.colours[0, forearm]) == COLOURS[Provenance.CAMERA_AND_IMU]
@@ -75,7 +75,7 @@ def test_missing_and_doubtful_poses_are_hidden_and_faint() -> None:
     p, valid = np.array(motion.poses.p_world_joint), np.array(motion.poses.valid)
     p[3], valid[4] = np.nan, False
     poses = replace(motion.poses, p_world_joint=p, valid=valid)
-    content = block_content(poses, motion.skeleton, segment_solids(motion.skeleton))
+    content = block_content(poses, motion.skeleton)
     assert not content.shown[3].any()
     assert content.shown[[2, 4]].all()
     assert (content.opacities[4] < 0.5).all()
@@ -87,7 +87,7 @@ def test_missing_and_doubtful_poses_are_hidden_and_faint() -> None:
 def test_ellipsoids_are_the_95_percent_regions() -> None:
     motion = walking(FRAMES)
     assert motion.confidence is not None
-    content = block_content(motion.poses, motion.skeleton, segment_solids(motion.skeleton), 0, motion.confidence)
+    content = block_content(motion.poses, motion.skeleton, 0, motion.confidence)
     found = content.in_world
     assert found is not None
     assert content.to_root is not None
@@ -119,10 +119,9 @@ def test_poses_of_other_joints_are_drawn_as_far_as_they_go() -> None:
     full = PoseSequence(
         motion.times, motion.poses.p_world_joint, np.full_like(motion.poses.R_world_bone, np.nan), names
     )
-    solids = segment_solids(motion.skeleton)
-    content = block_content(poses, motion.skeleton, solids)
+    content = block_content(poses, motion.skeleton)
     assert not content.shown[:, names.index("Head")].any()
-    whole = block_content(full, motion.skeleton, solids)
+    whole = block_content(full, motion.skeleton)
     assert whole.shown.all()
-    exact = block_content(motion.poses, motion.skeleton, solids)
+    exact = block_content(motion.poses, motion.skeleton)
     np.testing.assert_allclose(whole.centers, exact.centers, atol=0.02)

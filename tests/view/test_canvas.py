@@ -117,24 +117,19 @@ def labels_at(places: list[tuple[float, float, int, bool]]) -> list[Label]:
     return [Label(f"angle {i}", x, y, width, 18, left) for i, (x, y, width, left) in enumerate(places)]
 
 
-@given(st.lists(st.lists(place, max_size=12), min_size=1, max_size=4), st.lists(place, max_size=3))
+@given(st.lists(st.lists(place, max_size=12), min_size=1, max_size=4))
 @settings(max_examples=150, deadline=None)
-def test_no_label_overlaps_another_or_leaves_the_picture(
-    frames: list[list[tuple[float, float, int, bool]]], kept: list[tuple[float, float, int, bool]]
-) -> None:
+def test_no_label_overlaps_another_or_leaves_the_picture(frames: list[list[tuple[float, float, int, bool]]]) -> None:
     layout = LabelLayout()
-    taken = [Box(int(x), int(y), width, 20) for x, y, width, _ in kept]
     rng = np.random.default_rng(0)
     for places in frames:
         labels = labels_at(places)
-        boxes = layout.place(labels, PICTURE, rng.uniform(0, 600, (50, 2)), taken)
+        boxes = layout.place(labels, PICTURE, rng.uniform(0, 600, (50, 2)))
         covered = np.zeros((PICTURE.bottom, PICTURE.right), dtype=int)
         for box in boxes.values():
             assert min(box.left - PICTURE.left, box.top - PICTURE.top) >= 0
             covered[box.top : box.bottom, box.left : box.right] += 1
         assert covered.sum() == sum(box.width * box.height for box in boxes.values())  # inside at right and below
-        for box in taken:
-            covered[box.top : box.bottom, box.left : box.right] *= 2
         assert covered.max(initial=0) <= 1
         assert {(label.width, label.height) for label in labels if label.name in boxes} == {
             (box.width, box.height) for box in boxes.values()

@@ -80,5 +80,5 @@ def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
     seen = KeypointSequence(CAMERA, np.arange(2.0), np.ones((2, 4, 2)), np.ones((2, 4)), names)
     assert measurements(seen, BODY).names == ("coco17:LeftEar", "coco17:Nose")
     assert measurements(seen.landmarks, BODY).names == (*BODY.names, "Nose")
-    assert seen.detector_points.names == names[2:]
-    assert measurements(seen, SkeletonModel.human36m()).detector_points.names == ()
+    assert seen.landmarks.names == names[:2]
+    assert measurements(seen, SkeletonModel.human36m()).names == SkeletonModel.human36m().names

@@ -80,7 +80,7 @@ def test_a_recording_reads_a_detectors_file(layout: str, named: bool, tmp_path: 
     text = f'layout = "{layout if named else "auto"}"\nrate_hz = 30.0\nstart_s = 2.0'
     keypoints = Recording.load(recording(tmp_path, f'file = "found.json"\n{text}')).keypoints
     assert keypoints.names[:21] == MOTION.skeleton.names
-    landmarks, raw = keypoints.landmarks, keypoints.detector_points
+    landmarks, raw = keypoints.landmarks, keypoints.select([n for n in keypoints.names if ":" in n])
     truth = landmarks_px(landmarks.names, here, camera)
     error = np.linalg.norm(landmarks.uv_px - truth, axis=-1)[landmarks.seen]
     assert error.mean() < 6.0

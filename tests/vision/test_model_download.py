@@ -126,9 +126,6 @@ def test_another_file_than_the_published_one_is_not_kept(server: Server) -> None
     server.contents["/plain.task"] = PLAIN[:-1] + b"!"
     with pytest.raises(FileFormatError, match="plain.task: its SHA-256 .* not the published .*nothing was kept"):
         fetch_models(models)
-    server.contents["/plain.task"] = PLAIN * 3
-    with pytest.raises(RtofError, match="plain.task: larger than 2 MB, so not the file that was published"):
-        fetch_models(models)
     assert [path.name for path in models_folder(models).iterdir()] == [".lock"]
     server.contents["/plain.task"] = PLAIN
     assert fetch_models(models).is_dir()

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import h5py
@@ -104,16 +103,13 @@ class Hdf5Writer:
             self._open = failed.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         with self._open:
             self._file.close()
             if problem := self._stream.problem:
                 raise problem
             if error is not None:
                 raise error
-        return None
 
     def __contains__(self, name: str) -> bool:
         return name in self._file
@@ -193,15 +189,12 @@ class BlockWriter:
         self._arrays.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         with ExitStack() as closing:
             closing.push(self._arrays)
             if error is not None:
                 raise error
             self._finish()
-        return None
 
     def _finish(self) -> None:
         """Write what is known at the end."""

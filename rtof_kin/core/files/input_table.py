@@ -226,7 +226,8 @@ class InputTable(BaseModel):
     def _has_its_fields(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        if unknown := [name for name in data if name not in cls.model_fields]:
+        unknown = [name for name in data if name not in cls.model_fields]
+        if unknown and cls.model_config["extra"] == "forbid":
             names = {"unknown": unknown, "known": sorted(cls.model_fields)}
             raise PydanticCustomError("extra_forbidden", "unknown field", {"field": unknown[0], **names})
         for name, field in cls.model_fields.items():

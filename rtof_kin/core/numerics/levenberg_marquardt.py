@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol, cast, overload
+from typing import Final, Protocol, cast
 
 import numpy as np
 
@@ -112,14 +112,8 @@ class _Run:
 class LevenbergMarquardt:
     """Solver of one problem for any data bound to it; keeps no state between calls."""
 
-    @overload
-    def __init__(self, problem: Problem) -> None: ...
-
-    @overload
-    def __init__(self, problem: LimitedProblem, limits: Limits | None) -> None: ...
-
     def __init__(self, problem: Problem, limits: Limits | None = None) -> None:
-        """Take a problem and the limits of its states."""
+        """Take a problem, a `LimitedProblem` where there are limits of its states."""
         self.problem, self.limits = problem, limits
         self._known: tuple[Array, Array, Array | None] | None = None
 

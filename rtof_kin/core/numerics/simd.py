@@ -62,7 +62,11 @@ class Over:
             _check(f"{f.name()} input {i}", array, shape, width)
         for i, array in enumerate(outs):
             if given.placed and i == len(outs) - 1:
-                self._place(f"{f.name()} output {i}", array, frames, f.nnz_out(i), places)
+                groups = () if places is None else places
+                least = int(np.max(groups, initial=0)) + GROUP
+                _check(f"{f.name()} output {i}", array, (frames, least), array.strides[0])
+                if len(groups) * GROUP != f.nnz_out(i) or np.min(groups, initial=0) < 0:
+                    raise ShapeError(f"{f.name()} output {i}: give a place for each group of {GROUP} numbers")
             else:
                 _check(f"{f.name()} output {i}", array, (f.nnz_out(i), whole(frames)), width)
         place = np.zeros(0, np.int64) if places is None else np.array(places, dtype=np.int64)
@@ -79,17 +83,6 @@ class Over:
     def __call__(self) -> None:
         """Evaluate."""
         self._run()
-
-    @staticmethod
-    def _place(name: str, array: Array, frames: int, count: int, places: Index | None) -> None:
-        """Raise if a placed output does not fit."""
-        if places is None or len(places) * GROUP != count:
-            raise ShapeError(f"{name}: give a place for each group of {GROUP} of {count} numbers")
-        least = int(places.max(initial=0)) + GROUP
-        if array.ndim != 2 or len(array) < frames or array.shape[1] < least or places.min() < 0:
-            raise ShapeError(f"{name}: {array.shape} for {frames} rows of {least}")
-        if array.strides[1] != array.itemsize or array.dtype != np.float64:
-            raise ShapeError(f"{name}: give numbers of double precision that lie together")
 
 
 class _Interpreted:

@@ -87,7 +87,7 @@ class FragmentProblem:
             "b_world": (3 * B, N),
             "w_bone": (B, N),
             "w_smooth": (N - 3,),
-            "j_world": (3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
+            "j_world": (3 * J, N - 3 if settings.as_printed else 0),
             "w_length": (N,),
             "lengths": (len(self.pairs),),
             "p_prior": (3 * J, N),
@@ -119,7 +119,7 @@ class FragmentProblem:
             rows = slice(3 * k, 3 * k + 3)
             accelerations.append(energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"]))
             bones.append(energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :]))
-        target = P["j_world"] if s.jerk_target == "sensor" else 0
+        target = P["j_world"] if s.as_printed else 0
         smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
         lengths = [
             energies.distance(self._joint(a), self._joint(b), P["lengths"][i]) for i, (a, b) in enumerate(self.pairs)
@@ -148,7 +148,7 @@ class FragmentProblem:
     def _prior(self) -> Any:
         """Root and bone vectors (or every position) minus those of the start, whitened (3J, N)."""
         start, s = self.parameters["p_prior"], self.settings
-        if s.prior == "positions":
+        if s.as_printed:
             return energies.position(self.X, start) / s.sigma_prior
         rows = [energies.position(self.X[:3, :], start[:3, :]) / s.sigma_prior]
         for child, parent in enumerate(self.parents):
@@ -164,7 +164,7 @@ class FragmentProblem:
         values, hessian = [], ca.SX(x.numel(), x.numel())
         for name, term in self.terms.items():
             k = self.parameters["k"][TERMS.index(name)] if name in TERMS else 1
-            free = name == "length" and self.settings.bone_lengths == "free"
+            free = name == "length" and self.settings.as_printed
             if free or term.residual.numel() == 0:
                 values.append(ca.SX(0))
                 continue

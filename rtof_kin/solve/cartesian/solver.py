@@ -82,7 +82,7 @@ class CartesianSolver:
         firsts = range(-half, T, half)
         i = np.arange(self.frames)  # weights (N,) of a fragment's frames in the blend:
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
-        if self.settings.blend == "average":
+        if self.settings.as_printed:
             taper = np.ones(self.frames)
         previous: Array | None = None
         reports: list[FragmentReport] = []
@@ -197,7 +197,7 @@ class CartesianSolver:
         self, index: Index, inside: Mask, start: PoseSequence, data: dict[str, Array]
     ) -> dict[str, Array]:
         """Parameters of the problem for the frames `index`, of which those not `inside` are padding."""
-        present = np.ones_like(inside) if self.settings.padding == "replicate" else inside
+        present = np.ones_like(inside) if self.settings.as_printed else inside
         smooth = (np.convolve(present, [1] * 4, mode="valid") == 4).astype(float)
         J, columns = len(self.skeleton.names), (len(index), -1)
         return {
@@ -221,7 +221,7 @@ class CartesianSolver:
     def _jerk_target(self, index: Index, data: dict[str, Array]) -> Array:
         """(3J, N - 3) m/s^3: differentiated acceleration of each joint with a sensor; 0 where missing."""
         J, N = len(self.skeleton.names), len(index)
-        if self.settings.jerk_target != "sensor":
+        if not self.settings.as_printed:
             return np.zeros((3 * J, 0))
         a, known = data["a_world"][index][1:-1], data["w_acceleration"][index][1:-1] > 0
         both = (known[1:] & known[:-1])[..., None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtof_kin.body.observability import DIRECTION, WHOLE, levels_by_points
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.imu import BoneImuSequence
@@ -88,20 +88,13 @@ class JointSpaceSolver:
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
         share = taper[:half] / (taper[half:] + taper[:half])
-        firsts = range(-half, len(times), half)
-
-        def blends(pieces: Iterator[_Piece]) -> Iterator[tuple[slice, Array, _Piece, _Piece]]:
-            """Frames and their states, between two fragments."""
-            for previous, piece in pairwise(pieces):
-                frames = slice(piece.first, min(piece.first + half, len(times)))
-                x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])
-                yield frames, x[: frames.stop - piece.first], previous, piece
-
-        fragments = _Fragments(data, self.settings, confidence)
+        fragments = _Fragments(data, self.settings, confidence).settled(range(-half, len(times), half), progress)
         reports: list[FragmentReport] = []
         unseen = unseen_times(data)
-        for frames, x, previous, piece in blends(fragments.settled(firsts, progress)):
-            count, known, spread = len(x), None, None
+        for previous, piece in pairwise(fragments):
+            frames = slice(piece.first, min(piece.first + half, len(times)))
+            count, known, spread = frames.stop - piece.first, None, None
+            x = data.space.blend(previous.x[half:], piece.x[:half], taper[half:], taper[:half])[:count]
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
                 known = confidence_of(data.space, times[frames], x, C, data.fixed)
@@ -192,41 +185,32 @@ class _Fragments:
 
     def _solve(self, first: int, start: Array | None = None) -> _Piece:
         """The frames from `first`, from the initial guess or other states (N, 3 + 4A)."""
-        data = self.data
+        data, s = self.data, self.settings
         index, inside, values = data.fragment(first)
         began = perf_counter()
         data.problem.bind(values)
-        annealing = Annealing(
-            self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation
-        )
+        annealing = Annealing(s, data.problem, data.confidence[index], data.points.sizes, values.observation)
         x, failed = data.start[index] if start is None else start, True
         try:
-            solved = self._minimised(x, annealing)
+            anneals = s.annealing if s.sigma_reprojection is None else 0
+            solved = self._real_time.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
             failed = not np.isfinite(solved.x).all()
         except SolverError:
             pass  # the report has the status FAILED
         if failed:
             M = len(data.limits.names) if data.limits else 0
             solved = Solved(x, 0, False, np.zeros((len(x), M)))
-        seconds = perf_counter() - began
-        report = self._report(solved, first, annealing.sigma, seconds, inside)
-        if failed:
-            report = replace(report, status=SolverStatus.FAILED)
-        return _Piece(solved.x, report, self._covariance(solved, report) if self._confidence else None)
+        seconds, status = perf_counter() - began, SolverStatus.of(solved)
+        if failed or not data.anything_seen(first, inside):
+            status = SolverStatus.FAILED if failed else SolverStatus.UNOBSERVED
+        report, covariance = self._report(solved, first, annealing.sigma, seconds, status), None
+        if self._confidence:
+            usable, D = status not in (SolverStatus.UNOBSERVED, SolverStatus.FAILED), data.space.size
+            nothing = np.full((len(x), D, D), np.nan)
+            covariance = state_covariances(data.problem, self._real_time, solved) if usable else nothing
+        return _Piece(solved.x, report, covariance)
 
-    def _covariance(self, solved: Solved, report: FragmentReport) -> Array:
-        """(N, D, D) of the states' tangents."""
-        if report.status in (SolverStatus.UNOBSERVED, SolverStatus.FAILED):
-            D = self.data.space.size
-            return np.full((len(solved.x), D, D), np.nan)
-        return state_covariances(self.data.problem, self._real_time, solved)
-
-    def _minimised(self, x: Array, annealing: Annealing) -> Solved:
-        s, solver = self.settings, self._real_time
-        anneals = s.annealing if s.sigma_reprojection is None else 0
-        return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
-
-    def _report(self, solved: Solved, first: int, sigma: float, seconds: float, inside: Mask) -> FragmentReport:
+    def _report(self, solved: Solved, first: int, sigma: float, seconds: float, status: SolverStatus) -> FragmentReport:
         """Report measured at the returned point."""
         data = self.data
         energy, _ = data.problem.value(solved.x)
@@ -235,10 +219,9 @@ class _Fragments:
             excess = data.limits.excess(data.limits.values(solved.x))
             infeasibility = float(np.abs(excess).max(initial=0.0))
             gradient = gradient + data.limits.force(solved.x, solved.multipliers)
-        seen = data.anything_seen(first, inside)
         return FragmentReport(
             first_frame=first,
-            status=SolverStatus.of(solved) if seen else SolverStatus.UNOBSERVED,
+            status=status,
             energy=energy,
             iterations=solved.iterations,
             seconds=seconds,
