@@ -30,7 +30,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
+def process_of(*arguments: object) -> subprocess.Popen[str]:
     """The command in a process of its own."""
     command = [sys.executable, "-m", "rtof_kin.cli", "view", *map(str, arguments), "--no-browser"]
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -41,7 +41,7 @@ def started(*arguments: object) -> subprocess.Popen[str]:
 def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     started = time.monotonic()
     used = [0.0]
-    process = started(out)
+    process = process_of(out)
     assert process.stdout is not None
     lines: list[str] = []
     try:
