@@ -197,7 +197,7 @@ ModelDir = Annotated[
     Parameter(
         metavar="DIR",
         help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; "
-        "default: what is at hand, downloaded models, else MediaPipe",
+        "default: downloaded models",
     ),
 ]
 FetchModels = Annotated[
