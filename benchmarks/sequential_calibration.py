@@ -31,10 +31,9 @@ from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration import planting
 from benchmarks.calibration.sessions import joined
 from benchmarks.defaults import FIGURES, NEGLIGIBLE
-from benchmarks.rerigged import rerigged, t_pose
+from benchmarks.rerigged import rerigged
 from lifting.predict import Lifter
 from rtof_kin.body.metrics import evaluate
-from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.calibration.estimate import calibrate, even_noise
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
@@ -79,7 +78,6 @@ VARIANTS = {
     "delay": replace(_CLOSED, sigma_delay=0.05),
     "delay, heading": replace(_CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0)),
     "delay, heading, mounting": _ALL,
-    "posture": replace(_CLOSED, sigma_posture=np.radians(5.0)),
 }
 """What is open."""
 STUDIED = {"planted": tuple(VARIANTS)[:3], "right": tuple(VARIANTS), "usual": tuple(VARIANTS)[:2]}
@@ -280,8 +278,6 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
     job = Job.of(recording, None, lifter, settings, None).with_solver(None)
     prepared = job.prepare("sf2")
     stand_in = StandIn(job, prepared)
-    if case.session.endswith("_tc"):
-        truths["posture"] = postures(corpus, case.session, prepared)
 
     def sequential(variant: str) -> SequentialCalibration:
         return SequentialCalibration(stand_in.problem, stand_in.settings, VARIANTS[variant])
@@ -301,19 +297,6 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
         if (case.case, variant) in BATCH:
             batch = calibrate(prepared.recording, prepared.guess, VARIANTS[variant], stand_in.settings, FRAMES)
             yield {**about, "how": "batch", "errors": errors(batch, truths)}
-
-
-def postures(corpus: Path, name: str, prepared: Prepared) -> dict[str, Array]:
-    """Joint -> how the prior's mean differs from that about the person's posture, in the parent's axes."""
-    wanted = SESSIONS[name]
-    clips = harness.whole_clips(corpus, harness.split()["test"], sorted(set(wanted)))
-    local = {joint: R for joint, R in t_pose(clips[0]).items() if joint in JOINTS}
-    posture = NeutralPosture(tuple(local), so3.to_quat_wxyz(np.stack(list(local.values()))))
-    prior = prepared.skeleton.table.prior
-    known = so3.from_quat_wxyz(prior.about(posture).mean_quat_wxyz)
-    mean = so3.from_quat_wxyz(prior.mean_quat_wxyz)
-    at = {joint: prior.joints.index(joint) - 1 for joint in local}
-    return {joint: so3.log(known[j] @ mean[j].T) for joint, j in at.items()}
 
 
 def tables(rows: list[Row]) -> list[Table]:

@@ -19,7 +19,6 @@ from typing import Final, Self
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
@@ -186,10 +185,6 @@ class PosePrior:
             covariance_about_posture=None,
         )
 
-    def moved(self, turns: Mapping[str, Array]) -> PosePrior:
-        """Return the prior with the means of some joints moved by rotation vectors (3,) in their parents' axes, rad."""
-        return replace(self, mean_quat_wxyz=moved_means(self.mean_quat_wxyz, self.joints, turns))
-
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints; `joints`: A names, without the root;
         `least`: standard deviation added in quadrature, rad.
@@ -209,17 +204,3 @@ def has_prior(skeleton: str) -> bool:
 def shipped_prior(joints: tuple[str, ...]) -> PosePrior:
     """Return the shipped prior, read once."""
     return PosePrior.load(joints)
-
-
-def moved_means(mean_quat_wxyz: Array, joints: Sequence[str], turns: Mapping[str, Array]) -> Array:
-    """Return mean rotations (A - 1, 4) with those of some joints moved.
-
-    Args:
-        mean_quat_wxyz: (A - 1, 4) of all joints but the root. joints: A, root first.
-        turns: joint -> rotation vector (3,) in its parent's axes, rad.
-    """
-    mean = np.array(mean_quat_wxyz)
-    for joint, turn in turns.items():
-        j = joints.index(joint) - 1
-        mean[j] = quat.multiply(quat.exp(np.asarray(turn)), mean[j])
-    return mean

@@ -18,17 +18,7 @@ from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups, place_swing
 from rtof_kin.calibration.shared_fragments import Excerpt, Shared, SharedFragments, Slice
-from rtof_kin.calibration.unknowns import (
-    Ankles,
-    Bones,
-    Delay,
-    ImageBias,
-    Posture,
-    Sampled,
-    Unknown,
-    items_of,
-    open_sensors,
-)
+from rtof_kin.calibration.unknowns import Ankles, Bones, Delay, ImageBias, Sampled, Unknown, items_of, open_sensors
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
@@ -155,10 +145,9 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
         found.append(ImageBias(data.names, sizes))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(Ankles(p.sigma_ankle_height))
-    if not found and p.sigma_posture is None:
+    if not found:
         raise CalibrationError("nothing is left open: give at least one standard deviation")
-    posture = () if p.sigma_posture is None else (Posture.of(data.space.names, p.sigma_posture),)
-    return [*found, *posture]
+    return found
 
 
 def with_places(quantity: Quantity, skeleton: SkeletonModel) -> Quantity:

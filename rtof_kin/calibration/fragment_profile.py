@@ -175,9 +175,6 @@ class ProfiledFragment:
             jerk = at.jerk(values.w_jerk, problem.sigma_jerk[:3] * given.length_scale)
             out.add(jerk, by("jerk", jerk.value), 3, rate)
             yield
-        if changed("posture"):
-            postures, by_turn = at.postures(weights["w_prior"])
-            yield from out.add_in_parts(postures, by("posture", postures.value, by_turn))
         return out
 
 

@@ -33,8 +33,6 @@ class CalibrationPriors:
     sigma_image_bias: float | None = 6.0
     """[px] per axis, of each landmark, constant in the image; for a person 500 px tall."""
     sigma_ankle_height: float | None = 0.02  #: [m] of ankles over the floor that they stand on; only where there is one
-    sigma_posture: float | None = None
-    """[rad] per axis, of the neutral posture of the person, which moves the means of the pose prior."""
     most_seconds: float = 20.0  #: [s] of the recording that are used, in fragments distributed over it
     rounds: int = 5  #: Largest number of Gauss-Newton steps
 

@@ -84,7 +84,6 @@ class Changes:
     sensors: Array | None = None  # (N, S, 3, k) positions of the sensors in world, m
     feet: Array | None = None  # (N, F, 1, k) height of the ankles, m
     jerk: Array | None = None  # (N - 3, 1, 3, k) jerk of the root, m/s^3, relative to the length scale
-    posture: Array | None = None  # (N, 1, 3 (A - 1), k) rotation vectors of the joints from the prior's means, rad
 
 
 @dataclass(frozen=True)
@@ -194,26 +193,6 @@ class CalibrationResiduals:
         by_state = np.zeros((len(self.p), 1, 3, self.space.size))
         by_state[..., :3] = np.eye(3)
         return Residuals(self.root_jerk[:, None], by_state, (weight / sigma[0] ** 2)[:, None])
-
-    @cached_property
-    def from_means(self) -> Array:
-        """(N, A - 1, 3) rotation vectors of the joints from the prior's means, in their axes, rad."""
-        mean = self.given.constant["quat_mean"].T
-        return quat.log(quat.multiply(quat.conjugate(mean), self.space.rotations(self.x)[:, 1:]))
-
-    def postures(self, weight: Array) -> tuple[Residuals, Array]:
-        """Return those of the pose prior (N, 1, 3 (A - 1)), whitened, for weights (N,); and their
-        derivatives (3 (A - 1), 3 (A - 1)) by the rotation vectors from the means.
-        """
-        W = np.asarray(np.linalg.cholesky(self.given.constant["precision"]).T, dtype=float)
-        space, N = self.space, len(self.x)
-        by_turn = quat.right_jacobian_inverse(self.from_means)
-        by_state = np.zeros((N, len(W), space.size))
-        for a in range(1, len(space.joints)):
-            rows = slice(3 * a - 3, 3 * a)
-            by_state[:, rows, space.columns(space.joints[a])] = by_turn[:, a - 1] @ space.axes(a)
-        r = self.from_means.reshape(N, -1) @ W.T
-        return Residuals(r[:, None], (W @ by_state)[:, None], weight[:, None]), W
 
     def feet(self, weight: Array, cutoff: float) -> Residuals:
         """Return those of the ankles' heights, m, for weights (N, F) and the scale of the loss, m."""

@@ -15,7 +15,6 @@ import numpy as np
 import tomli_w
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
@@ -35,7 +34,6 @@ _KINDS: Final = {
     "bones": (1, 100.0, "%"),
     "image bias": (2, 1.0, "px"),
     "ankle height": (1, 1e3, "mm"),
-    "posture": (3, *_DEGREES),
 }
 """Kind -> largest count of its numbers, factor and unit for display; the second number of a delay is the drift of the
 clocks, s/s, and not displayed."""
@@ -181,8 +179,6 @@ class SelfCalibration:
             imus=None if imus is None else self._on_clock(imus),
             calibration=known,
         )
-        if turns := self.of_kind("posture"):
-            recording = _with_posture(recording, turns)
         if bones := self.of_kind("bones"):
             offsets = recording.skeleton.joint_offsets.copy()
             for name, joints in bone_groups(recording.skeleton, tuple(bones)):
@@ -245,16 +241,6 @@ class SelfCalibration:
         rate = float(q.value[1:].sum())
         seen = self.middle + (imus.times - self.middle + q.value[0]) / (1 - rate)
         return replace(imus, times=self.on_clock(seen))
-
-
-def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
-    """The recording with its neutral posture, or where that is unknown its pose prior, moved."""
-    known = recording.posture
-    if known is None:
-        return replace(recording, model_prior=recording.skeleton.table.prior.moved(turns))
-    moved = [turns.get(joint, np.zeros(3)) for joint in known.joints]
-    turned = quat.multiply(quat.exp(np.array(moved)), known.quat_wxyz)
-    return replace(recording, posture=replace(known, quat_wxyz=turned))
 
 
 def place_swing(skeleton: SkeletonModel, joint: str) -> float:
@@ -374,5 +360,5 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
             file.middle_s,
             bool(file.converged),
         )
-    except InvalidInputError as error:
+    except (InvalidInputError, UnknownNameError) as error:
         raise FileFormatError(path, str(error)) from error

@@ -34,16 +34,7 @@ from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, WEIGHT_POSES, CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
-from rtof_kin.calibration.unknowns import (
-    Delay,
-    Posture,
-    Sampled,
-    Unknown,
-    columns_of,
-    corrected,
-    items_of,
-    open_sensors,
-)
+from rtof_kin.calibration.unknowns import Delay, Sampled, Unknown, columns_of, corrected, items_of, open_sensors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
@@ -156,8 +147,8 @@ class DelayPosterior:
 
 
 DELAY_ALONE: Final = CalibrationPriors(sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None)
-"""Priors that leave nothing open but the delay. Where sensors are calibrated well, headings, mountings and
-posture take over errors of the detector; open them where they are known to be wrong."""
+"""Priors that leave nothing open but the delay. Where sensors are calibrated well, headings and mountings
+take over errors of the detector; open them where they are known to be wrong."""
 _DAMPING: Final = 1e-3
 _STEPS = 2  # Gauss-Newton steps of a window's states at the current estimate
 _STILL: Final = np.radians(3.0)
@@ -183,10 +174,10 @@ class WindowObservations:
 
 _MEMORY_S = 60.0  # [s] of windows after which one counts 1/e
 _DELAY_SPEED = 0.005  # [s/s] Largest speed of the applied delay
-TURN_SPEED: Final = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
+TURN_SPEED: Final = np.radians(1.0)  # [rad/s] The same of headings and mountings
 _SIGNIFICANT = 2.0
-"""[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
-deviations, that is corrected: a smaller one may be the detector's."""
+"""[1] Least deviation of a heading or mounting from where it began, in standard deviations, that is corrected: a
+smaller one may be the detector's."""
 
 
 @dataclass(frozen=True)
@@ -197,11 +188,10 @@ class Corrections:
     heading: Mapping[str, float]
     """Segment -> rotation about world's z to apply to its measured orientation and acceleration, rad."""
     R_mounting: Mapping[str, Array]  # Segment -> (3, 3) to multiply its measured orientation by, from the right
-    posture: Mapping[str, Array]  # Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad
 
 
 class SequentialCalibration:
-    """Estimate of delay, headings, mountings and posture from windows of a motion.
+    """Estimate of delay, headings and mountings from windows of a motion.
 
     Attributes:
         unknowns: kinds but the delay, in the order of y. columns: of each in y.
@@ -219,8 +209,7 @@ class SequentialCalibration:
 
         Args:
             problem: energy of a window, of which no other solver binds data.
-            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open; by default
-                `DELAY_ALONE`.
+            priors: `sigma_delay`, `sigma_heading` and `sigma_swing` say what is open; by default `DELAY_ALONE`.
 
         Raises:
             CalibrationError: nothing is open.
@@ -228,7 +217,9 @@ class SequentialCalibration:
         priors = priors or DELAY_ALONE
         self._problem, self._settings = problem, settings
         self._limits = Limits(problem.space) if settings.limits else None
-        self.unknowns = _opened(problem, priors)
+        skeleton = problem.space.skeleton
+        sensors = tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors)
+        self.unknowns = tuple(open_sensors(priors, skeleton, sensors)) if sensors else ()
         if not self.unknowns and priors.sigma_delay is None:
             raise CalibrationError("nothing is left open: give at least one standard deviation")
         self.columns = columns_of(self.unknowns)
@@ -239,7 +230,10 @@ class SequentialCalibration:
         self._prior = np.asarray(np.linalg.inv(covariance) if self.unknowns else covariance)
         self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
         self._information, self._vector = np.zeros_like(self._prior), np.zeros_like(self._mean)
-        self.delay = _delay(priors.sigma_delay, saved.get(("delay", "video")))
+        self.delay, usual, late = None, priors.sigma_delay, saved.get(("delay", "video"))
+        if usual is not None:
+            sigma = usual if late is None else min(usual, float(np.hypot(late.sigma[0], _KEPT_DELAY * usual)))
+            self.delay = DelayPosterior(usual, 0.0 if late is None else float(late.value[0]), sigma)
         self._begun = self.delay.delay if self.delay else 0.0
         self._applied, self._applied_delay = self._mean.copy(), self._begun
         self._quantities = self._listed()
@@ -287,7 +281,6 @@ class SequentialCalibration:
             self._applied_delay,
             {item: float(value[0]) for kind, item, value in own if kind == "heading"},
             {item: so3.exp(value) for kind, item, value in own if kind == "mounting"},
-            {item: value for kind, item, value in own if kind == "posture"},
         )
 
     def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
@@ -381,23 +374,6 @@ def _turning(given: CalibrationObservations) -> float:
     q = given.rows["quat_sensor"][:, used]
     cosine = np.abs(np.sum(q * q[:1], axis=-1)).min(axis=0)
     return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
-
-
-def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
-    """The unknowns but the delay, in the order in which they correct the observations."""
-    skeleton, found = problem.space.skeleton, list[Unknown]()
-    if sensors := tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors):
-        found += open_sensors(priors, skeleton, sensors)
-    if priors.sigma_posture is not None:
-        found.append(Posture.of(problem.space.names, priors.sigma_posture))
-    return tuple(found)
-
-
-def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
-    if usual is None or saved is None:
-        return None if usual is None else DelayPosterior(usual, 0.0, usual)
-    sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))
-    return DelayPosterior(usual, float(saved.value[0]), sigma)
 
 
 def _started(unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]) -> Array:

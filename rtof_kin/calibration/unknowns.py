@@ -1,4 +1,4 @@
-"""Unknown errors of a recording, one class for each kind: of bones, sensors, camera, detector, floor and posture.
+"""Unknown errors of a recording, one class for each kind: of bones, sensors, video, detector and floor.
 
 An unknown corrects the observations and has the derivatives of what residuals compare. All numbers y are
 zero without an error; their prior is normal about zero.
@@ -10,11 +10,10 @@ zero without an error; their prior is normal about zero.
     mounting    R_world_bone = R_measured exp(y)                            rad, in the segment's axes
     bones       offset_j = (1 + y_g) given_j for the joints of a group g    1
     image       uv_true = uv_seen - y, for each landmark                    px
-    posture     mean_joint = exp(y) given, of the pose prior                rad, in the parent's axes
     ankles      height of an ankle over the floor it stands on = given + y  m
 
-A recording does not show lever arms, drifts of headings, the camera's tilt or a focal length that is right to 2 %
-(docs/calibration.md): they are not unknowns. A drift of the clocks is found before (`clocks`).
+A recording does not show lever arms, drifts of headings, the neutral posture, the camera's tilt or a focal length that
+is right to 2 % (docs/calibration.md): they are not unknowns. A drift of the clocks is found before (`clocks`).
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from typing import Self
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.pose_prior import JOINTS
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
@@ -326,51 +324,6 @@ class Ankles(Unknown):
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives, equal for both feet in all frames."""
         return Changes(feet=-np.ones((len(at.x), len(at.joints.feet), 1, 1)))
-
-
-@dataclass(frozen=True)
-class Posture(Unknown):
-    """Rotation of the prior's mean of each joint in its parent's axes.
-
-    Moves the means of the pose prior (`PosePrior.moved`), as a known posture does, and keeps their covariance.
-    """
-
-    items: tuple[str, ...]
-    places: tuple[int, ...]  # Of these joints among those of the pose prior in the problem
-    sigma: float  # [rad] per axis
-    name = "posture"
-
-    @property
-    def covariance(self) -> Array:
-        """(3K, 3K), joint after joint."""
-        return np.eye(3 * len(self.items)) * self.sigma**2
-
-    @classmethod
-    def of(cls, turning: Sequence[str], sigma: float) -> Self:
-        """Return the posture of the joints of a `NeutralPosture` that turn; `turning`: joints of the problem, root
-        first (`StateSpace.names`); `sigma`: rad per axis.
-        """
-        items = tuple(joint for joint in JOINTS if joint in turning[1:])
-        return cls(items, tuple(turning.index(joint) - 1 for joint in items), sigma)
-
-    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
-        """Rotate the means."""
-        mean = np.array(given.constant["quat_mean"])
-        own = list(self.places)
-        mean[:, own] = quat.multiply(quat.exp(y.reshape(-1, 3)), mean[:, own].T).T
-        return given.known(quat_mean=mean)
-
-    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
-        """Derivatives of the joints' rotation vectors from the means; the means are at y."""
-        own, y = list(self.places), y.reshape(-1, 3)
-        R_mean = so3.from_quat_wxyz(at.given.constant["quat_mean"].T[own])
-        left = quat.right_jacobian(-y)  # exp(y + d) is exp(left d) exp(y)
-        r = at.from_means[:, own]
-        turned = -quat.right_jacobian_inverse(-r) @ np.swapaxes(R_mean, -1, -2) @ left
-        out = np.zeros((len(r), at.from_means.shape[1], 3, len(own), 3))
-        items = np.arange(len(own))
-        out[:, own, :, items] = np.moveaxis(turned, 1, 0)
-        return Changes(posture=out.reshape(len(r), 1, 3 * at.from_means.shape[1], -1))
 
 
 def open_sensors(priors: CalibrationPriors, skeleton: SkeletonModel, sensors: tuple[str, ...]) -> Iterator[Unknown]:

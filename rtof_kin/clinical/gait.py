@@ -283,7 +283,6 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
                 f"{side}: {strikes} heel strike(s), but no two with a toe off and a strike of the other foot "
                 f"between them within {LONGEST_STRIDE:g} s: no stride"
             )
-        notes += _warnings(side, own)
     symmetry = {}
     if len(summary) < 2:
         notes.append("symmetry needs a complete stride of each side")
@@ -305,24 +304,6 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
     knee, own = angles.names.index(f"{stride.side}_knee_flexion"), stride.frames(angles.times)
     inside = (angles.times[own] >= stride.start) & (angles.times[own] <= stride.stop)
     return bool((angles.is_trusted(own)[:, knee] | ~np.isfinite(angles.values[own, knee]))[inside].all())
-
-
-def _warnings(side: str, strides: list[Stride]) -> list[str]:
-    """Sentences on strides that are not those of steady walking."""
-    notes = []
-    if len(strides) > 2:
-        mean, spread, _ = _statistics(strides, "stride_time")
-        if spread > UNSTEADY * mean:
-            notes.append(
-                f"{side}: stride times are {mean:.2f} +- {spread:.2f} s, which is not steady walking; means "
-                "and curves combine different movements"
-            )
-    if strides and np.median([stride.stance_share for stride in strides]) < STANCE[0]:
-        notes.append(
-            f"{side}: stance takes less than {100 * STANCE[0]:.0f} % of the stride: running, or not gait; "
-            "event detection assumes walking"
-        )
-    return notes
 
 
 def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:

@@ -234,7 +234,7 @@ class OnlineEstimator:
         self._see(solve)
         if solve:
             window.stand(times)
-            self._iterate(self.settings.iterations)
+            self._iterate()
 
     def _correct(self, refinement: Refinement) -> None:
         """Go on with the calibration and apply what it found."""
@@ -242,12 +242,10 @@ class OnlineEstimator:
         found = refinement.step(float(self._time(self._window.first)) + self._delay_s)
         self._delay_s = self.settings.video_delay_s + found.delay
         self._sensors.correct(found.heading, found.R_mounting)
-        if found.posture:
-            self._window.prefer(found.posture)
 
-    def _iterate(self, iterations: int) -> None:
+    def _iterate(self) -> None:
         try:
-            self._window.smoother.iterate(iterations)
+            self._window.smoother.iterate(1)
         except SolverError:
             self._restart(self._window.smoother.x[-1])
 

@@ -30,12 +30,10 @@ class OnlineSettings:
     """[s] By how much the stamps of the video are late against the clock of the sensors."""
     video_latency_s: float = 0.0
     """[s] Greatest usual age of an image when it arrives: the window covers it."""
-    iterations: int = 1
-    """Levenberg-Marquardt iterations for each frame."""
     confidence: bool = False
     """Whether to compute the covariance of every returned pose."""
     refined: CalibrationPriors | None = None
-    """What is calibrated while the person moves, with its prior: delay, headings, mountings, posture. None: nothing."""
+    """What is calibrated while the person moves, with its prior: delay, headings, mountings. None: nothing."""
     solver: JointSpaceSettings = field(
         default_factory=lambda: JointSpaceSettings(torso_inflation=1.4, robust_reprojection=1.2)
     )
@@ -47,8 +45,6 @@ class OnlineSettings:
             raise InvalidInputError(f"rate_hz: {self.rate_hz:g} frames per second; give 5 to 500")
         if not 0 <= self.lag_s <= _LONGEST_LAG_S:
             raise InvalidInputError(f"lag_s: {self.lag_s:g} s is outside 0 to {_LONGEST_LAG_S:g} s")
-        if self.iterations < 1:
-            raise InvalidInputError("iterations: at least one for each frame")
 
     @property
     def lag_frames(self) -> int:

@@ -28,7 +28,6 @@ _OPEN: Final = {
     "delay": {"sigma_delay": 0.05},
     "heading": {"sigma_heading": np.radians(8.0)},
     "mounting": {"sigma_swing": np.radians(4.0), "sigma_twist": np.radians(5.0)},
-    "posture": {"sigma_posture": np.radians(5.0)},
 }
 """Kind -> standard deviations before."""
 

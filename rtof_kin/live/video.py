@@ -30,8 +30,8 @@ from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
 _RECENT: Final = 30  # Frames of which times are the median
 _PATIENCE: Final = 2.0  # [s] to wait for a thread that ends
-_SLOW: Final = 0.5  # [s] Latency of a video from which on it is told of; then twice as much, and so on
-_FIRST_TOLD: Final = 30  # Dropped images of a webcam that are told of first; then twice as many, and so on
+_LATE: Final = 0.5  # [s] Latency of a video from which on it is told of
+_DROPPED: Final = 30  # Images of a webcam from which on it is told that they are dropped
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class VideoSource:
         self.examination: Examination | None = None
         """What goes on in threads; None before `start`."""
         self._closed = False
-        self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
+        self._slow = False  # whether it was told of
 
     # --- what it says of itself --------------------------------------------------------------------
 
@@ -247,7 +247,7 @@ class VideoSource:
             except RtofError as error:
                 raise SourceError(f"{error}") from error
             opened.pop_all()  # from here on the threads release them
-        self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
+        self._slow = self._closed = False
         self.examination = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
 
     def poll(self) -> list[Sample]:
@@ -276,12 +276,11 @@ class VideoSource:
             while said:
                 told.append(said.popleft())
         took = f"detection takes {1000 * run.detection_s:.0f} ms an image"
-        if self.live and run.dropped >= self._tell_dropped:
-            self._tell_dropped = 2 * run.dropped
-            count = run.dropped + run.examined
-            told.append(f"{run.dropped} of {count} images were not examined, as {took}")
-        if not self.live and self._replay.paced and run.latency_s >= self._tell_late:
-            self._tell_late = 2 * run.latency_s
+        if not self._slow and self.live and run.dropped >= _DROPPED:
+            self._slow = True
+            told.append(f"{run.dropped} of {run.dropped + run.examined} images were not examined, as {took}")
+        if not self._slow and not self.live and self._replay.paced and run.latency_s >= _LATE:
+            self._slow = True
             told.append(
                 f"its points are {run.latency_s:.1f} s late and will be later, as {took}; lower the speed, "
                 "or take a faster detector"

@@ -6,14 +6,13 @@ the video is put into the frame nearest in time, moved to its time at the speed 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.observability import WHOLE, levels_by_points
-from rtof_kin.body.pose_prior import moved_means
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -149,14 +148,6 @@ class Window:
         self.smoother.translate(shift)
         self.smoother.rows["w_contact"][:] = 0.0
         self._holds = [None] * len(FEET)
-
-    def prefer(self, posture: Mapping[str, Array]) -> None:
-        """Move the means of the pose prior.
-
-        `posture`: joint -> rotation vector (3,) from the mean of the problem, in its parent's axes, rad.
-        """
-        means, names = self.data.constant["quat_mean"].T, self.data.space.names
-        self.smoother.constant["quat_mean"] = moved_means(means, names, posture).T
 
     # --- sensors ---------------------------------------------------------------------------------
 

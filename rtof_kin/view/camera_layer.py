@@ -6,8 +6,9 @@ a point meets the joint. Pixels are placed as if the lens had no distortion, lik
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -35,99 +36,65 @@ _BEHIND: Final = 1.003  # Depth of the image relative to that of the points
 
 
 class VideoFrames:
-    """Decodes the image that was asked for last."""
+    """Decodes the image that was asked for last: the last one at or before a time, in a thread."""
 
     def __init__(self, path: str | Path, receive: Callable[[Image], None]):
-        """Open the video and start the thread; end it with `close`.
-
-        `receive`: called in the thread with (height, width, 3) RGB images.
+        """Open the video; end it with `close`. `receive`: called in the thread with (height, width, 3) RGB images.
 
         Raises:
             FileFormatError: not a readable video, or one without times. RtofError: the extra is missing.
         """
         self.path, self._receive = Path(path), receive
-        self._wanted: float | None = None
-        self._changed = threading.Condition()
-        self._ended = False
         self.problem: RtofError | None = None
-        with open_video(self.path) as (container, stream):
-            frame = next(container.decode(stream), None)
-            if frame is None or frame.time is None:
+        with ExitStack() as failed:
+            self._container, self._stream = failed.enter_context(open_video(self.path))
+            self._stream.thread_type = "AUTO"
+            self._frames: Iterator[Any] = self._container.decode(self._stream)
+            self._held = next(self._frames, None)
+            if self._held is None or self._held.time is None:
                 raise FileFormatError(self.path, "has no times of its images; convert it first")
-            self._first, self._slowed = float(frame.time), slow_motion(container, stream)
-            self.size = upright_image(frame, stream).shape[1::-1]
-        self._thread = threading.Thread(target=self._run, name=f"images of {self.path.name}", daemon=True)
-        self._thread.start()
+            self._first = float(self._held.time)
+            self._slowed = slow_motion(self._container, self._stream)
+            self.size = upright_image(self._held, self._stream).shape[1::-1]
+            self._closing = failed.pop_all()
+        self._next: Any = None
+        self._shown: Any = None
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"images of {self.path.name}")
+        self._requested: Future[None] | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        """Stop."""
+        self._worker.shutdown(cancel_futures=True)
+        self._closing.close()
 
     def request(self, time: float) -> None:
         """Ask for the image at a time; an earlier request that waits is dropped.
 
         `time`: s since the first frame, real time, as `KeypointSequence.video_times`.
         """
-        with self._changed:
-            self._wanted = time
-            self._changed.notify()
+        if self._requested is not None:
+            self._requested.cancel()
+        self._requested = self._worker.submit(self._show, self._first + time * self._slowed + _ROUNDING)
 
-    def close(self) -> None:
-        """Stop."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
-        self._thread.join(10.0)
-
-    def _run(self) -> None:
-        try:
-            with open_video(self.path) as (container, stream):
-                stream.thread_type = "AUTO"
-                self._serve(_Decoder(container, stream), stream)
-        except RtofError as error:
-            self.problem = error
-
-    def _serve(self, decoder: _Decoder, stream: Any) -> None:
-        while True:
-            with self._changed:
-                while self._wanted is None and not self._ended:
-                    self._changed.wait()
-                if self._ended:
-                    return
-                wanted, self._wanted = self._wanted, None
-            assert wanted is not None
-            frame = decoder.at(self._first + wanted * self._slowed)
-            if frame is not None:
-                self._receive(_small(upright_image(frame, stream)))
-
-
-class _Decoder:
-    """The last frame at or before a stamp, and the frames after it."""
-
-    def __init__(self, container: Any, stream: Any):
-        self._container, self._stream = container, stream
-        self._frames = container.decode(stream)
-        self._held: Any = None
-        self._next: Any = None
-        self._shown: Any = None
-
-    def at(self, stamp: float) -> Any:
-        """Return the frame shown at a stamp, s; None if it is the one returned last."""
+    def _show(self, stamp: float) -> None:
+        """Give the image that is shown at a stamp, unless it is the one given last."""
         av, held = optional("av", "video"), self._held
-        stamp += _ROUNDING
-        if held is None or not held.time <= stamp <= held.time + _AHEAD:
-            self._container.seek(int(stamp / self._stream.time_base), stream=self._stream, backward=True)
-            self._frames, self._held, self._next = self._container.decode(self._stream), None, None
         try:
-            self._advance(stamp)
-        except (av.InvalidDataError, av.EOFError):
-            self._frames = iter(())
-        if self._held is self._shown:
-            return None
-        self._shown = self._held
-        return self._held
+            if held is None or not held.time <= stamp <= held.time + _AHEAD:
+                self._container.seek(int(stamp / self._stream.time_base), stream=self._stream, backward=True)
+                self._frames, self._held, self._next = self._container.decode(self._stream), None, None
+            try:
+                self._advance(stamp)
+            except (av.InvalidDataError, av.EOFError):
+                self._frames = iter(())
+            if self._held is not None and self._held is not self._shown:
+                self._shown = self._held
+                self._receive(_small(upright_image(self._held, self._stream)))
+        except av.FFmpegError as error:
+            self.problem = FileFormatError(self.path, f"cannot be read any more ({error})")
 
     def _advance(self, stamp: float) -> None:
         while True:

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.canvas import Box, Image
@@ -48,7 +46,7 @@ class FaceFinder:
         camera = projected.view.camera
         self._projected, self._picture = projected, Box(0, 0, camera.width_px, camera.height_px)
         self._joint = skeleton.names.index(_HEAD) if _HEAD in skeleton.names else None
-        self._offset = 0.5 * _top_of_head(skeleton)
+        self._offset = 0.5 * skeleton.landmarks.get("HeadTop", (_HEAD, np.zeros(3)))[1]
         self._radius = _RADIUS * skeleton.height
         self._provenance = shown_provenance(projected.motion)
         names = projected.view.names
@@ -99,11 +97,6 @@ class FaceFinder:
         return (uv[0], radius + margin) if margin <= _MOST * radius else None
 
 
-def _top_of_head(skeleton: SkeletonModel) -> Array:
-    """Return the offset (3,) of the top of the head from its joint, m."""
-    return skeleton.landmarks["HeadTop"][1] if "HeadTop" in skeleton.landmarks else np.zeros(3)
-
-
 def pixelate(image: Image, region: FaceRegion) -> None:
     """Replace a region of an image, in place, by the mean colours of its blocks. `image`: (height, width, 3)."""
     height, width = image.shape[:2]
@@ -113,14 +106,9 @@ def pixelate(image: Image, region: FaceRegion) -> None:
     if right <= left or bottom <= top:
         return
     patch = image[top:bottom, left:right]
-    rows, columns = (_starts(size, region.block) for size in patch.shape[:2])
+    counts = [max(size // region.block, 1) for size in patch.shape[:2]]  # blocks that are none smaller than that
+    rows, columns = (np.arange(n) * size // n for n, size in zip(counts, patch.shape[:2], strict=True))
     heights, widths = np.diff([*rows, patch.shape[0]]), np.diff([*columns, patch.shape[1]])
     sums = np.add.reduceat(np.add.reduceat(patch, rows, axis=0, dtype=np.int64), columns, axis=1)
     means = (sums // np.outer(heights, widths)[..., None]).astype(np.uint8)
     patch[:] = means.repeat(heights, axis=0).repeat(widths, axis=1)
-
-
-def _starts(size: int, block: int) -> NDArray[np.int_]:
-    """Return where blocks begin that cover `size` pixels and are none smaller than `block`."""
-    count = max(size // block, 1)
-    return np.arange(count) * size // count

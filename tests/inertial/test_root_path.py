@@ -18,6 +18,7 @@ BODY = SkeletonModel.default()
 WALK, STANDS = planted.walking(BODY, 6.0)
 LEGS = ("Hips", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
 FEET = ("LeftFoot", "RightFoot")
+IMUS, ROOT = planted.bone_imus(BODY, WALK.poses, LEGS), WALK.poses.p_world_joint[:, 0]
 
 
 def errors(path: RootPath, p_root: Array) -> Array:
@@ -26,9 +27,8 @@ def errors(path: RootPath, p_root: Array) -> Array:
 
 
 def test_planted_feet_give_the_path_of_a_walk() -> None:
-    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
-    path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08)
-    assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.005
+    path = root_path(WALK.poses, IMUS, Contacts(FEET, STANDS), BODY, 0.08)
+    assert np.abs(errors(path, ROOT)).max() < 0.005
     np.testing.assert_allclose(path.p_world[0, :2], 0.0, atol=1e-5)
     np.testing.assert_allclose(path.p_world[:, 2], WALK.poses.p_world_joint[:, 0, 2], atol=0.005)
 
@@ -38,8 +38,8 @@ def test_detected_feet_give_a_path_with_little_drift(noise: float) -> None:
     imus = planted.bone_imus(BODY, WALK.poses, LEGS, acceleration=noise)
     contacts = detect_contacts(WALK.poses, imus, BODY)
     path = root_path(WALK.poses, imus, contacts, BODY, 0.08)
-    walked = float(WALK.poses.p_world_joint[-1, 0, 0] - WALK.poses.p_world_joint[0, 0, 0])
-    assert np.linalg.norm(errors(path, WALK.poses.p_world_joint[:, 0])[-1]) < 0.02 * walked
+    walked = float(ROOT[-1, 0] - ROOT[0, 0])
+    assert np.linalg.norm(errors(path, ROOT)[-1]) < 0.02 * walked
 
 
 def test_accelerations_determine_the_path_in_flight() -> None:
@@ -58,8 +58,7 @@ def test_accelerations_determine_the_path_in_flight() -> None:
 
 def test_without_foot_sensors_the_root_stays_over_the_origin() -> None:
     poses = WALK.poses
-    imus = planted.bone_imus(BODY, poses, LEGS)
-    path = root_path(poses, imus, Contacts((), np.zeros((len(poses), 0))), BODY, 0.5)
+    path = root_path(poses, IMUS, Contacts((), np.zeros((len(poses), 0))), BODY, 0.5)
     assert np.all(path.p_world == path.p_world[0])
     np.testing.assert_array_equal(path.p_world[0, :2], 0.0)
     assert np.isnan(path.sigma).all()
@@ -68,17 +67,15 @@ def test_without_foot_sensors_the_root_stays_over_the_origin() -> None:
 
 
 def test_without_contacts_the_lower_foot_bounds_the_drift() -> None:
-    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
-    path = root_path(WALK.poses, imus, Contacts(FEET, STANDS & False), BODY, 0.08)
-    error = errors(path, WALK.poses.p_world_joint[:, 0])
+    path = root_path(WALK.poses, IMUS, Contacts(FEET, STANDS & False), BODY, 0.08)
+    error = errors(path, ROOT)
     assert np.linalg.norm(error[-1, :2]) < 0.1 * np.ptp(WALK.poses.p_world_joint[:, 0, 0])
     assert np.abs(error[:, 2]).max() < 0.05
     assert path.sigma[-1] < 3.0  # decimetres a second, not metres
 
 
 def test_drift_grows_with_distance_and_with_squared_flight_time() -> None:
-    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
-    path = root_path(WALK.poses, imus, Contacts(FEET, STANDS), BODY, 0.08)
+    path = root_path(WALK.poses, IMUS, Contacts(FEET, STANDS), BODY, 0.08)
     assert np.all(np.diff(path.sigma) >= 0)
     assert path.sigma[0] == 0.0
     assert path.sigma[-1] == pytest.approx(0.05 * 0.8 * 6.0, rel=0.05)
@@ -92,11 +89,10 @@ def test_drift_grows_with_distance_and_with_squared_flight_time() -> None:
 
 
 def test_missing_accelerations_are_ignored() -> None:
-    imus = planted.bone_imus(BODY, WALK.poses, LEGS)
-    a = np.array(imus.a_world)
+    a = np.array(IMUS.a_world)
     a[50:80, 1] = np.nan
-    path = root_path(WALK.poses, replace(imus, a_world=a), Contacts(FEET, STANDS), BODY, 0.08)
-    assert np.abs(errors(path, WALK.poses.p_world_joint[:, 0])).max() < 0.01
+    path = root_path(WALK.poses, replace(IMUS, a_world=a), Contacts(FEET, STANDS), BODY, 0.08)
+    assert np.abs(errors(path, ROOT)).max() < 0.01
 
 
 SHANKS, WITH_FEET = ("LeftLeg", "RightLeg"), ("LeftLeg", "RightLeg", "LeftFoot", "RightFoot")

@@ -77,9 +77,7 @@ def some() -> Recording:
 
 def exchanged(recording: Recording, a: str, b: str) -> Recording:
     """The samples of two sensors under each other's names."""
-    assert recording.imus is not None
     imus = recording.imus
-    order = list(range(len(imus.names)))
-    order[imus.names.index(a)], order[imus.names.index(b)] = imus.names.index(b), imus.names.index(a)
-    R, f = imus.R_inertial_sensor[:, order], imus.f_sensor[:, order]
-    return replace(recording, imus=replace(imus, R_inertial_sensor=R, f_sensor=f))
+    assert imus is not None
+    names = tuple({a: b, b: a}.get(name, name) for name in imus.names)
+    return replace(recording, imus=replace(imus, names=names).select(imus.names))

@@ -32,7 +32,6 @@ OPEN = {
     "bones": {"sigma_size": 0.05, "sigma_proportion": 0.03},
     "image bias": {"sigma_image_bias": 6.0},
     "ankle height": {"sigma_ankle_height": 0.03},
-    "posture": {"sigma_posture": 0.1},
 }
 """Kind -> what leaves it open."""
 NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {"sigma_twist": 0.1}

@@ -53,14 +53,8 @@ def shifted(log: SensorLog, offset: float, drift: float = 0.0) -> SensorLog:
 
 
 def cut(log: SensorLog, start: float, stop: float) -> SensorLog:
-    """A part of a log; its sensors have orientation and specific force."""
-    kept = []
-    for s in log.streams:
-        assert s.R_inertial_sensor is not None
-        assert s.f_sensor is not None
-        own = (s.times >= start) & (s.times < stop)
-        kept.append(SensorStream(s.name, s.times[own], s.f_sensor[own], s.R_inertial_sensor[own]))
-    return replace(log, streams=tuple(kept))
+    """A part of a log."""
+    return replace(log, streams=tuple(part for s in log.streams if (part := s.between(start, stop)) is not None))
 
 
 def joints(calibration: ImuCalibration) -> dict[str, str]:
