@@ -98,23 +98,22 @@ def _below(root: Path, out: Path) -> Iterator[Entry]:
 
 def _listed(manifest: Path) -> Iterator[Entry]:
     text = read_text(manifest, "a manifest; its first line names the columns")
+    lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
     try:
-        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
-        header = [name.strip() for name in next(lines)]
-        if "recording" not in header or len(set(header)) < len(header):
+        names = [name.strip() for name in lines.fieldnames or ()]
+        if "recording" not in names or len(set(names)) < len(names):
             raise FileFormatError(manifest, "one column is named recording, and each name stands once", 1)
-        for cells in lines:
-            if any(cell.strip() for cell in cells):
-                yield _entry(manifest, lines.line_num, header, [cell.strip() for cell in cells])
+        lines.fieldnames = names
+        for row in lines:
+            if None in row or None in row.values():
+                raise FileFormatError(manifest, f"not {len(names)} cells, as the header has columns", lines.line_num)
+            if any(map(str.strip, row.values())):
+                yield _entry(manifest, lines.line_num, {name: cell.strip() for name, cell in row.items()})
     except csv.Error as error:
         raise FileFormatError(manifest, f"not a readable CSV file: {error}") from error
 
 
-def _entry(manifest: Path, line: int, header: list[str], cells: list[str]) -> Entry:
-    if len(cells) != len(header):
-        problem = f"{len(cells)} cells where the header names {len(header)} columns"
-        raise FileFormatError(manifest, problem, line)
-    row = dict(zip(header, cells, strict=True))
+def _entry(manifest: Path, line: int, row: Mapping[str, str]) -> Entry:
     if not row["recording"]:
         raise FileFormatError(manifest, "no recording in this line", line)
     folder = manifest.parent / row["recording"]

@@ -53,8 +53,7 @@ KINDS = {
 CAMERA_FILE = "calibration.cal"
 _log = logging.getLogger(__name__)
 _TAKE = re.compile(r"(?<![a-z])(acting|freestyle|rom|walking)_?([1-3])(?!\d)")
-_SUBJECT_IN_FILE = re.compile(r"(?:^|_)s([1-5])(?=_)")
-_SUBJECT_IN_FOLDER = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
+_SUBJECT = re.compile(r"(?<![a-z0-9])s([1-5])(?![a-z0-9])")
 
 Take = tuple[str, str]  #: Subject and take, e.g. ('S5', 'acting3').
 
@@ -132,25 +131,13 @@ def walk(root: Path) -> Iterator[Path]:
 
 
 def _take_of(path: Path, root: Path) -> Take | None:
-    """Read subject and take from a file's name or the nearest folder that has them."""
-    above = (root.resolve().name, root.absolute().name)
-    folders = [part.lower() for part in (*above, *path.relative_to(root).parts[:-1])]
-    name = path.name.lower()
-    take = _only_match(_TAKE, name) or _nearest(_TAKE, folders)
-    subject = _only_match(_SUBJECT_IN_FILE, name) or _nearest(_SUBJECT_IN_FOLDER, folders)
-    if take is None or subject is None:
-        return None
-    return f"S{subject[0]}", "".join(take)
-
-
-def _nearest(pattern: re.Pattern[str], folders: list[str]) -> tuple[str, ...] | None:
-    return next((m for name in reversed(folders) if (m := _only_match(pattern, name))), None)
-
-
-def _only_match(pattern: re.Pattern[str], text: str) -> tuple[str, ...] | None:
-    """Return the groups of a pattern's matches if they are all equal, or None."""
-    found = {match.groups() for match in pattern.finditer(text)}
-    return found.pop() if len(found) == 1 else None
+    """Read subject and take from a file's name or the nearest folder that has them; None where it has several."""
+    parts = [path.name, *path.relative_to(root).parts[-2::-1], root.absolute().name, root.resolve().name]
+    subjects, takes = (
+        next((found for part in parts if (found := set(pattern.findall(part.lower())))), set())
+        for pattern in (_SUBJECT, _TAKE)
+    )
+    return (f"S{subjects.pop()}", "".join(takes.pop())) if len(subjects) == len(takes) == 1 else None
 
 
 LANDMARKS = "landmarks.txt"

@@ -163,32 +163,27 @@ def _compared(
     progress: Callable[[int, int, str], None],
 ) -> tuple[Option, ...]:
     """Options by their loss; the plan itself is the one whose setup is `part`."""
-    keys = {f"option{i}": name for i, name in enumerate(options)}
-    setups = {key: setup for key, name in keys.items() if isinstance(setup := options[name], Setup)}
-    found = predict(setups, 2, seed, lifter=lifter, workers=workers, progress=progress)
-    predicted = {keys[key]: value for key, value in found.items()}
+    setups = {f"option{i}": setup for i, setup in enumerate(options.values()) if isinstance(setup, Setup)}
+    predicted = predict(setups, 2, seed, lifter=lifter, workers=workers, progress=progress)
+    sigmas: dict[str, Array | str] = {}  # of the angles shown, or why there is none
+    for i, (name, setup) in enumerate(options.items()):
+        found = setup if isinstance(setup, str) else predicted[f"option{i}"]
+        sigmas[name] = (
+            found
+            if isinstance(found, str)
+            else np.nan_to_num(found.select(shown).sigma, nan=_UNOBSERVED, posinf=_UNOBSERVED)
+        )
     own = next((name for name, setup in options.items() if setup is part), None)
-    base = predicted.get(own) if own is not None else None
-    unobserved = np.full(len(shown), _UNOBSERVED)
-    before = None if not isinstance(base, Prediction) else base.select(shown)
-    out = []
-    for name, setup in options.items():
-        problem = setup if isinstance(setup, str) else predicted[name]
-        if isinstance(problem, str):
-            out.append(Option(name, np.nan, np.nan, problem=problem))
-            continue
-        now = problem.select(shown)
-        loss = now.loss(unobserved)
-        gain, most = 0.0, ""
-        if before is not None and name != own:
-            better = _filled(before.sigma) - _filled(now.sigma)
-            gain, most = before.loss(unobserved) - loss, shown[int(np.argmax(better))]
-        out.append(Option(name, loss, gain, most))
+    before, out = sigmas.get(own or ""), []
+    for name, now in sigmas.items():
+        if isinstance(now, str):
+            out.append(Option(name, np.nan, np.nan, problem=now))
+        elif name == own or before is None or isinstance(before, str):
+            out.append(Option(name, float(np.mean(now)), 0.0))
+        else:
+            gain, most = float(np.mean(before)) - float(np.mean(now)), shown[int(np.argmax(before - now))]
+            out.append(Option(name, float(np.mean(now)), gain, most))
     return tuple(sorted(out, key=lambda option: (np.isnan(option.loss), option.loss)))
-
-
-def _filled(sigma: Array) -> Array:
-    return np.where(np.isfinite(sigma), sigma, _UNOBSERVED)
 
 
 def _staged(report: Progress, stage: str) -> Callable[[int, int, str], None]:

@@ -69,10 +69,6 @@ class Prediction:
         arrays = {key: getattr(self, key)[columns] for key in ("sigma", "error", "inside", "observed")}
         return replace(self, names=tuple(names), **arrays)
 
-    def loss(self, unobserved: Array) -> float:
-        """Return the mean standard deviation over the angles, rad; unobserved ones count by `unobserved` (A,), rad."""
-        return float(np.mean(np.where(np.isfinite(self.sigma), self.sigma, unobserved)))
-
 
 @dataclass(frozen=True)
 class Run:

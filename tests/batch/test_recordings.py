@@ -46,7 +46,7 @@ def test_a_manifest_names_recordings_and_options_of_each(tmp_path: Path) -> None
         ("", "empty"),
         ("folder\na\n", "line 1.*named recording"),
         ("recording,name,name\n", "line 1.*stands once"),
-        ("recording,name\na\n", "line 2: 1 cells"),
+        ("recording,name\na\n", "line 2: not 2 cells"),
         ("recording,name\n,x\n", "line 2: no recording"),
         ("recording,reconstruct\na,--x 'y\n", "line 2: options: No closing quotation"),
         ('recording\n"a\n', "not a readable CSV"),
