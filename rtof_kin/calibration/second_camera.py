@@ -90,7 +90,9 @@ def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array,
         cameras: at the start; the second one's pose within some tens of degrees.
         p_world_joint: (F, n, 3) start of the joints, m.
     """
-    x, p, prior = np.zeros(_UNKNOWNS), p_world_joint.copy(), _prior(settings)
+    x, p, s = np.zeros(_UNKNOWNS), p_world_joint.copy(), settings
+    deviations = [s.sigma_tilt] * 2 + [_UNKNOWN] * 4 + [max(sigma, 1e-6) for sigma in s.sigma_focal]
+    prior = 1 / np.array([*deviations, s.sigma_delay, s.sigma_size]) ** 2
     now = cameras
     for _ in range(settings.iterations):
         system = _System(now, x, images, p, p_world_joint, settings)
@@ -103,13 +105,6 @@ def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array,
     covariance = np.linalg.inv(np.diag(prior) + system.information / settings.frames_as_one)
     first, second = (refocused(camera, np.expm1(change)) for camera, change in zip(now, x[FOCAL], strict=True))
     return Adjusted((first, second), p, x, covariance, system.size)
-
-
-def _prior(s: BundleSettings) -> Array:
-    """(10,) inverse variances."""
-    focal = [max(sigma, 1e-6) for sigma in s.sigma_focal]
-    pose = [s.sigma_tilt] * 2 + [_UNKNOWN] * 4
-    return np.asarray(1 / np.r_[pose, focal, s.sigma_delay, s.sigma_size] ** 2)
 
 
 def _moved(camera: Camera, turn: Array, move: Array) -> Camera:

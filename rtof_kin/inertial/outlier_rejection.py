@@ -272,8 +272,17 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     undone = np.array([off(mistake) <= limit for mistake in _MISTAKES])
     explains = [k for k, holds in enumerate(undone) if np.mean(holds[wrong]) >= _EXPLAINED]
     names = _listed(imus.names, wrong)
+    if not explains and value < _UNEXPLAINED * most:
+        why = f"{names}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
+        return Check.unknown(GRAVITY, "sensors", "m/s2", why)
     if not explains:
-        return _unexplained(names, value, most)
+        advice = (
+            "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
+            "swapped or mirrored, is R_world_inertial of these sensors, is the reference's z axis up? "
+            "`rtof-kin inspect` looks at each sensor"
+        )
+        cause = f"{UNEXPLAINED} {names} do not belong together"
+        return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
     first = undone[explains[0]]
     # Inverting the orientation of a sensor that hardly turns may not show: then all have the mistake.
     names = "all sensors" if first[judged].all() else names
@@ -285,19 +294,6 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     if others:
         advice += f". Or else {' or '.join(other.cause for other in others)}"
     return Check(GRAVITY, names, value, most, "m/s2", advice, cause=mistake.cause)
-
-
-def _unexplained(names: str, value: float, most: float) -> Check:
-    if value < _UNEXPLAINED * most:
-        why = f"{names}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
-        return Check.unknown(GRAVITY, "sensors", "m/s2", why)
-    advice = (
-        "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
-        "swapped or mirrored, is R_world_inertial of these sensors, is the reference's z axis up? "
-        "`rtof-kin inspect` looks at each sensor"
-    )
-    cause = f"{UNEXPLAINED} {names} do not belong together"
-    return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
 
 
 def _listed(names: Sequence[str], chosen: Mask) -> str:

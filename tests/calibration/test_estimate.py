@@ -16,7 +16,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.self_calibration import check_height, consistency_warnings
+from rtof_kin.reconstruction.self_calibration import consistency_warnings
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -223,22 +223,6 @@ def test_unobserved_quantities_are_zero() -> None:
     assert result["delay", "video"] in unobserved
     recording = recorded_in("still")
     np.testing.assert_array_equal(result.apply(recording).video.times, recording.video.times)
-
-
-LONG_LEGS = {"LeftLeg": 0.55, "RightLeg": 0.55, "LeftFoot": 0.60, "RightFoot": 0.60}
-
-
-def test_height_contradicting_bone_lengths_is_refused() -> None:
-    recording = replace(recorded_in(), joint_offsets=None, height=1.6, bone_lengths=LONG_LEGS)
-    with pytest.raises(CalibrationError, match=r"height is 1\.60 m, .* make a body 2\.06 m tall"):
-        check_height(recording)
-
-
-@pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
-def test_height_close_to_bone_lengths_is_accepted(share: float) -> None:
-    recording = recorded_in()
-    check_height(replace(recording, height=share * recording.skeleton.height))
-    check_height(recording)
 
 
 def test_bones_contradicting_the_height_cause_a_warning() -> None:
