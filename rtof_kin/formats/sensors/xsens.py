@@ -28,11 +28,11 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.readings import WRAP_16, WRAP_32, Packets, Readings, aligned, in_order, lost, sensor_log
 from rtof_kin.formats.sensors.sensor_text import (
+    MT_START,
     UTC_COLUMNS,
     SensorTable,
     cells,
     read_table,
-    start_in_mt_header,
     start_of_dot,
     start_of_mt,
     unzoned_note,
@@ -97,7 +97,8 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
         sensors.append(_readings(name, table, one, times, notes))
     first = int(np.argmin([one.times[0] for one in sensors]))
     start = start_of_mt(tables[first], int(packets[first].rows[0]))
-    notes = () if start else unzoned_note(start_in_mt_header(tables[first].header))
+    stated = next((match[1] for line in tables[first].header if (match := MT_START.match(line.strip()))), None)
+    notes = () if start else unzoned_note(stated)
     return sensor_log(paths, MT_TITLE, sensors, declaration, notes, start)
 
 
