@@ -213,10 +213,6 @@ class FollowUp:
         """Index of the visit that the verdict is about: the last one, or the one before of the baseline."""
         return len(self.visits) - 1 if self.baseline != len(self.visits) - 1 else self.baseline - 1
 
-    def of(self, outcome: Outcome, visit: int) -> tuple[Followed, ...]:
-        """Return the measures with an outcome."""
-        return tuple(one for one in self.measures if one.outcome(visit) is outcome)
-
 
 def follow_up(
     visits: Sequence[Visit],

@@ -324,7 +324,9 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     for s in gait.counted:
         own, at = s.frames(times), s.start + PHASES * s.stride_time
         values = angles.trusted_values[own]
-        values[:, headings] = _from_progression(values[:, headings], times[own], s, gait.events)
+        turned = np.nan_to_num(stride_shape(s, gait.events).turn) * ((times[own] - s.start) / s.stride_time - 0.5)
+        ahead = progression(s, gait.events) + turned
+        values[:, headings] = (values[:, headings] - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi
         sampled[s.side].append(signals.interpolate(times[own], values, at, max_gap))
     out = []
     for a, row in enumerate(angles.rows):
@@ -333,11 +335,3 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
             if known := [curve for curve in curves if np.isfinite(curve).all()]:
                 out.append(CycleCurves(row.name, side, np.array(known)))
     return tuple(out)
-
-
-def _from_progression(values: Array, times: Array, stride: Stride, events: GaitEvents) -> Array:
-    """Headings (T', n), rad, at times of a stride, from the direction in which the person walks."""
-    turn = stride_shape(stride, events).turn
-    phase = (times - stride.start) / stride.stride_time
-    ahead = progression(stride, events) + np.nan_to_num(turn) * (phase - 0.5)
-    return np.asarray((values - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi)

@@ -198,10 +198,19 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     """
     known = {name: point for name in names if (point := _measurement(name)) is not None}
     leg, turns = (_leg(skeleton), _turns(skeleton)) if known else (1.0, np.eye(3)[None])
-    points = [
-        _of_detector(skeleton, known[name], leg, turns) if name in known else _landmark(skeleton, name)
-        for name in names
-    ]
+    points = []
+    for name in names:
+        if name not in known:
+            joint, place = skeleton.landmarks[name]
+            j = skeleton.names.index(joint)
+            points.append(_Point(j, j, j, place))
+            continue
+        point = known[name]
+        segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
+        at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
+        place = at + leg * turns[segment] @ point.place
+        moving = leg * turns[second] @ point.second_place, leg * point.view
+        points.append(_Point(segment, anchor, second, place, *moving, point.size, point.independent))
     L = len(points)
 
     def each(field: str, *shape: int) -> Array:
@@ -219,28 +228,6 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
         second_places=each("second_place", 3),
         views=each("view", HARMONICS, 3),
         R_bone_pelvis=turns[0],
-    )
-
-
-def _landmark(skeleton: SkeletonModel, name: str) -> _Point:
-    joint, place = skeleton.landmarks[name]
-    j = skeleton.names.index(joint)
-    return _Point(j, j, j, place)
-
-
-def _of_detector(skeleton: SkeletonModel, point: DetectorPoint, leg: float, turns: Array) -> _Point:
-    """A detector's point on a body with a leg, m, and turns (J, 3, 3) from the shipped link frames."""
-    segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
-    at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
-    return _Point(
-        segment,
-        anchor,
-        second,
-        at + leg * turns[segment] @ point.place,
-        leg * turns[second] @ point.second_place,
-        leg * point.view,
-        point.size,
-        point.independent,
     )
 
 

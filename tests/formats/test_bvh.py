@@ -107,7 +107,7 @@ def test_file_without_a_frame_time_needs_a_declared_rate(write, line):
         ("HIERARCHY", "HIERARCHIE", 1, "expected HIERARCHY"),
         ("CHANNELS 3 Z", "CHANNELS 9 Z", 9, "0 to 6 channels"),
         ("Frames: 2", "Frames: 0", 17, "number of frames is 0"),
-        ("40 -50", "40 x", 20, "value 5 is 'x'"),
+        ("40 -50", "40 x", 20, "found 9, among them 'x'"),
     ],
 )
 def test_broken_file_is_named_with_its_line(write, old, new, line, says):
