@@ -59,18 +59,6 @@ def about_axis(axis: int, angle: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def rotation(rotvec: Tensor) -> Tensor:
-    """Return rotations (B, 3, 3) of rotation vectors (B, 3), rad."""
-    angle = rotvec.norm(dim=1).clamp_min(1e-9)[:, None, None]
-    x, y, z = rotvec.unbind(dim=1)
-    o = torch.zeros_like(x)
-    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=1).reshape(-1, 3, 3)
-    square = torch.bmm(cross, cross)
-    one = torch.eye(3, device=rotvec.device)
-    R: Tensor = one + (angle.sin() / angle) * cross + ((1 - angle.cos()) / angle**2) * square
-    return R
-
-
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Return the cross product of (B, 3, ...); faster than torch's for planar components."""
     (a1, a2, a3), (b1, b2, b3) = a.unbind(dim=1), b.unbind(dim=1)

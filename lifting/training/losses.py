@@ -41,19 +41,8 @@ def lifting_loss(estimate: Estimate, batch: Batch) -> Tensor:
 
 def position_loss(estimate: Estimate, batch: Batch) -> Tensor:
     """Return the batch mean of joint distance + `ROOT_WEIGHT` x root distance, m."""
-    joints = mean_joint_distance(estimate.pose, batch.pose)
-    return (joints + ROOT_WEIGHT * root_distance(estimate.root, batch.root)).mean()
-
-
-def mean_joint_distance(pose: Tensor, truth: Tensor) -> Tensor:
-    """Return the mean distance (B,) of root-relative joints (B, 3, J) without the root, m."""
-    distance: Tensor = (pose - truth)[:, :, 1:].norm(dim=1)
-    return distance.mean(dim=1)
-
-
-def root_distance(root: Tensor, truth: Tensor) -> Tensor:
-    """Return the distance (B,) of root positions (B, 3), m."""
-    distance: Tensor = (root - truth).norm(dim=1)
+    joints = (estimate.pose - batch.pose)[:, :, 1:].norm(dim=1).mean(dim=1)
+    distance: Tensor = (joints + ROOT_WEIGHT * (estimate.root - batch.root).norm(dim=1)).mean()
     return distance
 
 

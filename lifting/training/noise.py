@@ -36,7 +36,6 @@ from lifting.training.joint_errors import (
     exchanged,
     jumps,
     path_basis,
-    rotation,
     smooth_errors,
 )
 from rtof_kin.body.kinematics import LUMBAR_PITCH
@@ -306,7 +305,13 @@ def turns(axes: Tensor, config: RigConfig, draw: Draw) -> Tensor:
 
 def exp(rotvec: Tensor) -> Tensor:
     """Return rotations (..., 3, 3) of rotation vectors (..., 3), rad."""
-    return rotation(rotvec.reshape(-1, 3)).reshape(*rotvec.shape, 3)
+    angle = rotvec.norm(dim=-1).clamp_min(1e-9)[..., None, None]
+    x, y, z = rotvec.unbind(dim=-1)
+    o = torch.zeros_like(x)
+    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*rotvec.shape, 3)
+    one = torch.eye(3, device=rotvec.device)
+    R: Tensor = one + (angle.sin() / angle) * cross + ((1 - angle.cos()) / angle**2) * (cross @ cross)
+    return R
 
 
 def log(R: Tensor) -> Tensor:
@@ -370,7 +375,7 @@ def with_errors(bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: D
     factor = draw.between(config.amplitude, B, 1, 1)
     turn = config.misalignment * draw.normal(B, S, 3)
     turn = factor * (turn + config.roll * draw.normal(B, S, 1) * bones)
-    E = rotation(turn.reshape(-1, 3)).reshape(B, S, 3, 3)
+    E = exp(turn)
     x, z = axes_world.unbind(dim=3)
     y = cross(z, x)
 

@@ -26,7 +26,6 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
-from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, RtofError
 from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
@@ -124,14 +123,13 @@ def align_sensors(
     """
     skeleton.check_joints(poses.names)
     segments = tuple(joints.values())
-    indices_of("segment", segments, skeleton.names)
-    log = _near(log.select(list(joints)), float(poses.times[0]), float(poses.times[-1]))
-    log = log_with_orientation(log)
+    index = skeleton.index(*segments)
+    log = log_with_orientation(_near(log.select(list(joints)), float(poses.times[0]), float(poses.times[-1])))
     shown = np.flatnonzero(poses.valid.any(axis=1) & keypoints.seen.any(axis=1))
     frames = np.asarray(shown[:: max(1, round(poses.rate_hz / _RATE_HZ))])
     data = [
         (*_together(poses, stream, j, frames), so3.unit(skeleton.table.joints[j].end))
-        for stream, j in zip(log.streams, skeleton.index(*segments), strict=True)
+        for stream, j in zip(log.streams, index, strict=True)
     ]
     starts = [_start(*own) for own in data]
     shared = _shared(starts)

@@ -35,7 +35,6 @@ from rtof_kin.calibration.clock_scan import (
 from rtof_kin.calibration.offset_scan import APART, OffsetScan, repeated
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
@@ -124,9 +123,18 @@ def find_clock(
     """
     seen = velocities_in_image(poses, keypoints, skeleton)
     log = log if joints is None else log.select(list(joints))
-    carriers = _carriers(skeleton, joints)
+    usual = sorted({joint for joint, _ in skeleton.sensors.values()}, key=skeleton.names.index)
+    carriers = usual if joints is None else list(joints.values())
     log = _within(log, poses.times[0] - around - reach, poses.times[-1] - around + reach)
-    sensed = _moving(velocities_of_sensors(log_with_orientation(log)))
+    sensed = velocities_of_sensors(log_with_orientation(log))
+    speed = np.linalg.norm(sensed.w_world, axis=-1)
+    known = np.isfinite(speed).any(axis=1)
+    fastest = float(np.nanpercentile(np.nanmax(speed[known], axis=1), 95)) if known.any() else 0.0
+    if fastest < _STILL:
+        raise CalibrationError(
+            f"no sensor turns faster than {np.degrees(fastest):.1f} deg/s: they do not move, so that nothing "
+            "relates them to the video; check that these are the sensors worn in it"
+        )
     seen = seen.of(skeleton.index(*carriers))
     scan = ClockScan.of(seen, sensed, around, reach, joints is not None)
     worn = np.flatnonzero(scan.segments >= 0)
@@ -145,13 +153,6 @@ def find_clock(
     )
 
 
-def _carriers(skeleton: SkeletonModel, joints: Mapping[str, str] | None) -> list[str]:
-    if joints is None:
-        return sorted({joint for joint, _ in skeleton.sensors.values()}, key=skeleton.names.index)
-    indices_of("segment", list(joints.values()), skeleton.names)
-    return list(joints.values())
-
-
 def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
     kept = []
     for stream in log.streams:
@@ -163,18 +164,6 @@ def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
             )
         kept.append(part)
     return replace(log, streams=tuple(kept))
-
-
-def _moving(sensed: AngularVelocities) -> AngularVelocities:
-    speed = np.linalg.norm(sensed.w_world, axis=-1)
-    known = np.isfinite(speed).any(axis=1)
-    fastest = float(np.nanpercentile(np.nanmax(speed[known], axis=1), 95)) if known.any() else 0.0
-    if fastest < _STILL:
-        raise CalibrationError(
-            f"no sensor turns faster than {np.degrees(fastest):.1f} deg/s: they do not move, so that nothing "
-            "relates them to the video; check that these are the sensors worn in it"
-        )
-    return sensed
 
 
 def small_offset(seen: AngularVelocities, sensed: AngularVelocities) -> ClockEstimate:

@@ -90,7 +90,9 @@ def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array,
         cameras: at the start; the second one's pose within some tens of degrees.
         p_world_joint: (F, n, 3) start of the joints, m.
     """
-    x, p, prior = np.zeros(_UNKNOWNS), p_world_joint.copy(), _prior(settings)
+    x, p, s = np.zeros(_UNKNOWNS), p_world_joint.copy(), settings
+    deviations = [s.sigma_tilt] * 2 + [_UNKNOWN] * 4 + [max(sigma, 1e-6) for sigma in s.sigma_focal]
+    prior = 1 / np.array([*deviations, s.sigma_delay, s.sigma_size]) ** 2
     now = cameras
     for _ in range(settings.iterations):
         system = _System(now, x, images, p, p_world_joint, settings)
@@ -103,13 +105,6 @@ def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array,
     covariance = np.linalg.inv(np.diag(prior) + system.information / settings.frames_as_one)
     first, second = (refocused(camera, np.expm1(change)) for camera, change in zip(now, x[FOCAL], strict=True))
     return Adjusted((first, second), p, x, covariance, system.size)
-
-
-def _prior(s: BundleSettings) -> Array:
-    """(10,) inverse variances."""
-    focal = [max(sigma, 1e-6) for sigma in s.sigma_focal]
-    pose = [s.sigma_tilt] * 2 + [_UNKNOWN] * 4
-    return np.asarray(1 / np.r_[pose, focal, s.sigma_delay, s.sigma_size] ** 2)
 
 
 def _moved(camera: Camera, turn: Array, move: Array) -> Camera:
@@ -137,7 +132,11 @@ class _System:
         self._g_p = np.zeros(p.shape)
         s = settings.sigma_image
         errors = np.concatenate([self._add_image(c, cameras[c], images, p, s) for c in (0, 1)])
-        self.size = float(np.median(np.abs(errors))) / _NORMAL_MEDIAN * _lost(images)
+        # Residuals are smaller by the joints that were fitted to them.
+        seen, joints = (images.weight > 0).sum(), (images.weight > 0).any(axis=0).sum()
+        known = float(2 * seen + len(images.bones) * images.weight.shape[1])
+        lost = np.sqrt(known / max(known - 3 * joints, 0.1 * known))
+        self.size = float(np.median(np.abs(errors)) / _NORMAL_MEDIAN * lost)
         self._add_bones(images.bones, p, settings.sigma_bone)
         for c in (0, 1):
             self._add_shape(c, images.shapes[c], p, settings.sigma_shapes[c])
@@ -214,14 +213,6 @@ class _System:
                 self._H_cp[:, SIZE, i] -= sign * w * long * u
             self._H_cc[SIZE, SIZE] += w * len(p) * long**2
             self._g_c[SIZE] -= w * long * float(r.sum())
-
-
-def _lost(images: Images) -> float:
-    """Factor on the size of residuals for the joints that were fitted to them."""
-    seen = int((images.weight > 0).sum())
-    joints = int((images.weight > 0).any(axis=0).sum())
-    known = 2 * seen + len(images.bones) * images.weight.shape[1]
-    return float(np.sqrt(known / max(known - 3 * joints, 0.1 * known)))
 
 
 JOINTS: Final = (

@@ -230,7 +230,10 @@ class SequentialCalibration:
         self._prior = np.asarray(np.linalg.inv(covariance) if self.unknowns else covariance)
         self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
         self._information, self._vector = np.zeros_like(self._prior), np.zeros_like(self._mean)
-        self.delay = _delay(priors.sigma_delay, saved.get(("delay", "video")))
+        self.delay, usual, late = None, priors.sigma_delay, saved.get(("delay", "video"))
+        if usual is not None:
+            sigma = usual if late is None else min(usual, float(np.hypot(late.sigma[0], _KEPT_DELAY * usual)))
+            self.delay = DelayPosterior(usual, 0.0 if late is None else float(late.value[0]), sigma)
         self._begun = self.delay.delay if self.delay else 0.0
         self._applied, self._applied_delay = self._mean.copy(), self._begun
         self._quantities = self._listed()
@@ -371,13 +374,6 @@ def _turning(given: CalibrationObservations) -> float:
     q = given.rows["quat_sensor"][:, used]
     cosine = np.abs(np.sum(q * q[:1], axis=-1)).min(axis=0)
     return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
-
-
-def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
-    if usual is None or saved is None:
-        return None if usual is None else DelayPosterior(usual, 0.0, usual)
-    sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))
-    return DelayPosterior(usual, float(saved.value[0]), sigma)
 
 
 def _started(unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]) -> Array:

@@ -182,7 +182,6 @@ class Shared:
 
     y: Array  # (G,) the estimate
     hessian: Array  # (G, G) of the energy as a function of the unknowns alone, with their prior
-    sigma_px: float  # Standard deviation used for the landmarks, px
     energies: tuple[float, ...]  # Before the first and after every accepted step
     converged: bool
     doubts: dict[int, str]  # Column of a searched unknown -> reason why the search may have failed
@@ -257,7 +256,7 @@ class SharedFragments:
             y = y + step
         y = best[1]
         report(rounds + 1, rounds + 1)
-        return Shared(y, hessian, self._sigma_px, tuple(energies), converged, self._doubts)
+        return Shared(y, hessian, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
         return 0.5 * float(y @ self.prior @ y)

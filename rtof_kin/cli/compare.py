@@ -129,7 +129,7 @@ def study(
     ],
     path: Literal["greedy", "ranked"] | None = None,
     seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
-    model: Model = None,
+    task: Model,
     workers: Workers = None,
     figures: Figures = True,
     settings: Annotated[ReconstructionSettings, SOLVER],
@@ -161,7 +161,7 @@ def study(
     camera = source.keypoints is not None
     settings = solver_settings(settings, paper, "rtof" if camera else "imu")
     greedy = {"greedy": True, "ranked": False}.get(path or "")
-    lifter = Lifter.load(model) if camera else None
+    lifter = Lifter.load(task.model) if camera else None
     runs = open_runs(output, identity_of(source, lifter, settings, seconds), overwrite, None, {})
     remove_results(output)
     sensors = len(source.imus.names) if source.imus is not None else 0
@@ -252,9 +252,16 @@ def _from_recordings(source: Path, licence: str, origin: str, strides: int, from
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
     from rtof_kin.reporting.gait import find_people
 
-    found = find_people(source, from_standing)
+    found, notes = find_people(source, from_standing), []
     for place, reason in found.left_out.items():
-        say(f"left out: {place}: {reason}", style="yellow")
+        say(f"left out: {place}: {reason}", "yellow")
+    if alone := [code for code, places in found.recordings.items() if places == [code]]:
+        notes.append(
+            f"{len(alone)} of {len(found.recordings)} people are single recordings without a subject in their "
+            "session; recordings of one person count as several people then"
+        )
+    if any(cycles.sigma is None for cycles in found.people.values()):
+        notes.append("some motions have no covariances, so that errors of the reference are unknown")
     reference, without = build_reference(
         found.people,
         least_strides=strides,
@@ -262,43 +269,25 @@ def _from_recordings(source: Path, licence: str, origin: str, strides: int, from
         source=origin,
         system=f"{OWN_SYSTEM} {rtof_kin.__version__}, skeleton {', '.join(found.skeletons)}",
         zero=STANDING_ZERO if from_standing else MODEL_ZERO,
-        notes=_notes(found.recordings, found.people),
+        notes=tuple(notes),
     )
     for code, reason in without.items():
-        say(f"left out: {code}: {reason}", style="yellow")
+        say(f"left out: {code}: {reason}", "yellow")
     return reference
-
-
-def _notes(recordings: dict[str, list[str]], people: dict[str, Any]) -> tuple[str, ...]:
-    """What the builder found about the recordings."""
-    notes = []
-    if alone := [code for code, places in recordings.items() if places == [code]]:
-        notes.append(
-            f"{len(alone)} of {len(recordings)} people are single recordings without a subject in their "
-            "session; recordings of one person count as several people then"
-        )
-    if any(cycles.sigma is None for cycles in people.values()):
-        notes.append("some motions have no covariances, so that errors of the reference are unknown")
-    return tuple(notes)
 
 
 def _print_reference(reference: GaitReference) -> None:
     """Print what the reference is of, and what it cannot be used for."""
     from rtof_kin.clinical.gait_scores import FEW, gait_features
 
-    speeds = ""
-    if reference.speed_range is not None:
-        speeds = " at {:.2f} to {:.2f} m/s".format(*reference.speed_range)
-    say(f"reference of {reference.people} people{speeds}: {reference.system}", style="bold")
+    speeds = "" if reference.speed_range is None else " at {:.2f} to {:.2f} m/s".format(*reference.speed_range)
+    say(f"reference of {reference.people} people{speeds}: {reference.system}", "bold")
     if reference.people < FEW:
-        text = f"caution: fewer than {FEW} people: scores are relative to few"
-        say(text, style="yellow")
+        say(f"caution: fewer than {FEW} people: scores are relative to few", "yellow")
     if reference.missing:
-        text = f"caution: without {', '.join(reference.missing)}: no GPS and GDI, only single scores"
-        say(text, style="yellow")
+        say(f"caution: without {', '.join(reference.missing)}: no GPS and GDI, only single scores", "yellow")
     try:
-        features = gait_features(reference)
-        say(f"GDI: {features.basis.shape[1]} features have 98 % of the variance")
+        say(f"GDI: {gait_features(reference).basis.shape[1]} features have 98 % of the variance")
     except InvalidInputError as error:
         say(f"GDI will not be computed: {error}")
     for note in reference.notes:
@@ -315,7 +304,7 @@ def plan(
     draws: Annotated[int, Parameter(metavar="N")] = 3,
     search: bool = True,
     seed: Seed = 0,
-    model: Model = None,
+    task: Model,
     workers: Workers = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -352,7 +341,7 @@ def plan(
         raise InvalidInputError("plan: name a protocol's file, a movement, a recording or a motion")
     if output is not None:
         check_replaceable(output, MARKER, overwrite)
-    lifter = Lifter.load(model)
+    lifter = Lifter.load(task.model)
     with progress() as update:
         protocol, setup = planned(str(what), lifter, update)
         found = predict(

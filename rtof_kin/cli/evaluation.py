@@ -12,7 +12,7 @@ from cyclopts import App, Group, Parameter
 
 from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command, written
 from rtof_kin.cli.terminal import job_progress, out, print_scores, say, with_zero_motion
-from rtof_kin.core.choices import SPACES
+from rtof_kin.core.choices import Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def total_capture(
             of="rtof_kin.protocols.total_capture:TotalCaptureProtocol",
         ),
     ],
-    space: Literal["joint", "cartesian", "both"] = "joint",
+    space: Space = "joint",
     output: Output = Path("out/total_capture"),
     json: Json = None,
     workers: Workers = None,
@@ -139,16 +139,9 @@ def total_capture(
     Args:
         space: variables of the solver; fragment length and k_V are varied in cartesian space, where they are defined
     """
-    # With both, each has folders of its own, and the JSON file gets its name.
-    for own, name in {own: own for own in SPACES}.items() if space == "both" else [(space, "")]:
-        file = json and json.with_stem("_".join(filter(None, (json.stem, name))))
-        apart = {
-            "space": own,
-            "studies": own == "cartesian" and settings.get("studies", True),
-            "save": settings.get("save") and settings["save"] / name,
-        }
-        how = {"overwrite": overwrite, "workers": workers}
-        _measure("total-capture", root, output / name, file, **how, **{**settings, **apart})
+    studies = space == "cartesian" and settings.get("studies", True)
+    how = {**settings, "space": space, "studies": studies}
+    _measure("total-capture", root, output, json, overwrite=overwrite, workers=workers, **how)
 
 
 @evaluate.command

@@ -7,6 +7,7 @@ import time
 import webbrowser
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
@@ -65,10 +66,10 @@ def live(
         tuple[Literal["delay", "heading", "mounting"], ...], Parameter(show_default=lambda _: "delay")
     ] = ("delay",),
     calibration: Annotated[Path | None, Parameter(metavar="FILE")] = None,
-    model: Model = None,
+    task: Model,
     seconds: Seconds = None,
     speed: Annotated[float, Parameter(metavar="X")] = 1.0,
-    model_dir: ModelDir = None,
+    detector: ModelDir,
     fetch_models: FetchModels = None,
     finish: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
 ) -> None:
@@ -119,13 +120,12 @@ def live(
     from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.settings import ReconstructionTask
 
-    with ended_by_signals():
+    with ended_by_signals(), ExitStack() as stack:
         if output is not None:
             check_replaceable(output, INDEX)
         known = None if calibration is None else read_self_calibration_toml(calibration)
-        lifter: Any = ReconstructionTask(model=model).lifter()
+        lifter: Any = task.lifter()
         with without_warnings("rtof_kin.recording.cameras"):
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
@@ -136,39 +136,32 @@ def live(
                 take,
                 speed=speed,
                 names=map,
-                detector=lambda: detector_of(model_dir, fetch_models),
+                detector=lambda: detector_of(detector.model_dir, fetch_models),
             )
-        sinks: list[Sink] = []
-        try:
-            sinks += open_sinks(send or [], take)
-            servers = _served(sinks, take, browser)
-            landmarks = _points_of(streams.sources[0]) if camera else ()
-            settings = replace(
-                settings, video_latency_s=_latency(streams.sources[0]), refined=refinement_priors(refine)
-            )
-            remark("preparing the estimator")
-            estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
-            _start(streams.sources)
-            recorder = None
-            if output is not None:
-                recorder = Recorder(output, take, video_delay_s=settings.video_delay_s)
-            display = LiveDisplay(out, take.skeleton)
-            session = LiveSession(
-                take,
-                streams.sources,
-                estimator,
-                sinks=(*sinks, display),
-                recorder=recorder,
-                video_delay_s=settings.video_delay_s,
-                in_background=streams.in_real_time,
-            )
-            summary = _run(session, display, servers, streams, seconds)
-            _print_summary(summary, estimator.calibration, output)
-        finally:
-            for source in streams.sources:
-                source.close()
-            for sink in sinks:
-                sink.close()
+        for source in streams.sources:
+            stack.callback(source.close)
+        sinks = list(open_sinks(send or [], take))
+        servers = _served(sinks, take, browser)
+        for sink in sinks:
+            stack.callback(sink.close)
+        landmarks = _points_of(streams.sources[0]) if camera else ()
+        latency = _latency(streams.sources[0])
+        settings = replace(settings, video_latency_s=latency, refined=refinement_priors(refine))
+        remark("preparing the estimator")
+        estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
+        _start(streams.sources)
+        display = LiveDisplay(out, take.skeleton)
+        session = LiveSession(
+            take,
+            streams.sources,
+            estimator,
+            sinks=(*sinks, display),
+            recorder=None if output is None else Recorder(output, take, video_delay_s=settings.video_delay_s),
+            video_delay_s=settings.video_delay_s,
+            in_background=streams.in_real_time,
+        )
+        summary = _run(session, display, servers, streams, seconds)
+        _print_summary(summary, estimator.calibration, output)
 
 
 def _print_recorded(folder: Path | str) -> None:

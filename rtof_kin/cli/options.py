@@ -22,6 +22,7 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_typ
 from cyclopts import Parameter, Token, convert
 
 from rtof_kin.core.environment import USUAL
+from rtof_kin.setup.settings import ReconstructionTask, SetupSettings
 
 Function = Callable[..., Any]
 
@@ -184,22 +185,8 @@ Output = Annotated[Path, written("folder to write")]
 File = Annotated[Path, written("file to write", "FILE")]
 Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote there")]
 Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")]
-Model = Annotated[
-    Path | None,
-    Parameter(
-        metavar="FILE",
-        help="lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
-        "default), perfect",
-    ),
-]
-ModelDir = Annotated[
-    Path | None,
-    Parameter(
-        metavar="DIR",
-        help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; "
-        "default: what is at hand, downloaded models, else MediaPipe",
-    ),
-]
+Model = Annotated[ReconstructionTask, Fields("model")]
+ModelDir = Annotated[SetupSettings, Fields("model_dir")]
 FetchModels = Annotated[
     Literal["rtmpose", "mediapipe"] | None,
     Parameter(

@@ -6,7 +6,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -106,39 +106,24 @@ def run(
     if only == "files" or seconds is not None:
         raise InvalidInputError("run: --only files and --seconds are for --demo")
     began = time.monotonic()
+
+    def kept(step: str) -> None:
+        remark(f"{step}: its inputs are the same; kept")
+
+    with progress() as update, without_warnings(RESULT_WARNINGS, _OF_KEYPOINTS):
+        how: dict[str, Any] = {"overwrite": overwrite, "kept": kept, "progress": update}
+        how["detect"] = _detection(setup.model_dir, fetch_models, update)
+        if only:
+            setup, name = replace(setup, lifter=task.lifter()), output.resolve().name
+            found = make_recording(files, output, setup, name=name, made_with=task.model, **how)
+        else:
+            done = run_steps(files, output, setup, settings, task=task, second=second, analysis=analysis, **how)
     if only:
-        setup = replace(setup, lifter=task.lifter())
-        with progress() as update, without_warnings(_OF_KEYPOINTS):
-            found = make_recording(
-                files,
-                output,
-                setup,
-                name=output.resolve().name,
-                detect=_detection(setup.model_dir, fetch_models, update),
-                made_with=task.model,
-                overwrite=overwrite,
-                kept=_kept,
-                progress=update,
-            )
         _print_findings(found)
         say(f"wrote {output}: correct recording.toml where it says so, then")
         say(f"  rtof-kin reconstruct {output} -o OUT")
-        return
-    with progress() as update, without_warnings(RESULT_WARNINGS, _OF_KEYPOINTS):
-        done = run_steps(
-            files,
-            output,
-            setup,
-            settings,
-            task=task,
-            second=second,
-            analysis=analysis,
-            detect=_detection(setup.model_dir, fetch_models, update),
-            overwrite=overwrite,
-            kept=_kept,
-            progress=update,
-        )
-    _print_run(done, time.monotonic() - began)
+    else:
+        _print_run(done, time.monotonic() - began)
 
 
 def _demo(
@@ -172,10 +157,6 @@ def _demo(
     vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
     print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
     say(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim")
-
-
-def _kept(step: str) -> None:
-    remark(f"{step}: its inputs are the same; kept")
 
 
 def _print_findings(found: Findings) -> None:
@@ -243,7 +224,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    model_dir: ModelDir = None,
+    setup: ModelDir,
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
@@ -252,7 +233,7 @@ def detect(
 ) -> None:
     """Detect keypoints of people in a video or webcam.
 
-    Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; needs the extra:
+    Runs a detector on this machine: models of yours, or downloaded ones; needs the extra:
     pip install 'rtof-kin[video]'. Images are neither kept nor sent. OUT can be a recording's keypoints.
 
     Args:
@@ -270,7 +251,7 @@ def detect(
         if video.isdigit():
             raise InvalidInputError("--camera-motion needs a video file, not a webcam")
         check_new_file(camera_motion, overwrite)
-    detector = detector_of(model_dir, fetch_models)
+    detector = detector_of(setup.model_dir, fetch_models)
     with progress() as update:
         found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
     write_detections(output, found, overwrite)

@@ -7,7 +7,6 @@ import math
 import os
 import signal
 import stat
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -77,9 +76,9 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], None]]:
-    """Show a bar over jobs with the time that remains, and a line for each that fails; yields a function of
-    (done, in all, last event).
+def job_progress(what: str = "measuring", shown: bool = True) -> Iterator[Callable[[int, int, str], None]]:
+    """Show a bar over jobs with the time that remains, and a line for each that fails or is skipped; yields a function
+    of (done, in all, last event).
     """
     columns = (
         TextColumn(what),
@@ -88,12 +87,12 @@ def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], 
         TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
     )
-    bar = Progress(*columns, console=err, speed_estimate_period=_LONG)
+    bar = Progress(*columns, console=err, speed_estimate_period=_LONG, disable=not shown)
     task = bar.add_task("jobs", total=None, last="")
 
     def update(done: int, total: int, last: str) -> None:
         bar.start()  # not before there are jobs: an error stands alone
-        if " failed: " in last:
+        if " failed: " in last or " skipped: " in last:
             bar.console.print(last, soft_wrap=True)
             last = ""
         bar.update(task, completed=done, total=total, last=last)
@@ -169,7 +168,7 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
         f"subject {first.motion.skeleton.height:.2f} m tall",
         "accuracy": accuracy(found.metrics, found.mean_sigmas, first.mode),
         "caution": headline.line,
-        "files": f"{folder}: {', '.join(_entries(folder))}",
+        "files": f"{folder}: {_files(folder)}",
         "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin view {folder} (in 3D)",
     }
     for name, text in lines.items():
@@ -218,7 +217,7 @@ def print_sections(headline: Headline) -> None:
 
 def print_headline(headline: Headline, what: str = "") -> None:
     """Print the overall verdict in one line, and that of every section."""
-    out.print(f"{what}{headline.line}", style=STYLES.get(headline.grade.value, ""), soft_wrap=True)
+    say(f"{what}{headline.line}", STYLES.get(headline.grade.value, ""))
     print_sections(headline)
 
 
@@ -262,19 +261,14 @@ def _figure(key: str, value: float | None) -> str:
     return f"{value:.2f}" if key == "mpjae" else f"{value:.1f}"
 
 
-def _files(folder: str | Path) -> list[str]:
-    folder = Path(folder)
-    files = (str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
-    return sorted(name for name in files if name != MANIFEST)
-
-
-def _entries(folder: str | Path) -> list[str]:
+def _files(folder: str | Path) -> str:
     """Files of a folder, and its subfolders with their number of files."""
-    parts = [name.partition("/") for name in _files(folder)]
-    inner = Counter(top for top, slash, _ in parts if slash)
-    return [top for top, slash, _ in parts if not slash] + [f"{top}/ ({n})" for top, n in inner.items()]
+    entries = sorted(path for path in Path(folder).iterdir() if path.name != MANIFEST)
+    inner = {path: sum(one.is_file() for one in path.rglob("*")) for path in entries if path.is_dir()}
+    files = [path.name for path in entries if path not in inner]
+    return ", ".join([*files, *(f"{path.name}/ ({count})" for path, count in inner.items())])
 
 
 def print_files(folder: str | Path) -> None:
     """Print the files of a folder."""
-    out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)
+    say(f"wrote {folder}: {_files(folder)}")

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn
 
 from rtof_kin.cli.options import Fields, Overwrite, command, written
-from rtof_kin.cli.terminal import err, remark, say
+from rtof_kin.cli.terminal import err, job_progress, remark, say
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -110,23 +109,8 @@ def _corpus(corpus: Path | None, total_capture: Path | None, human36m: Path | No
         raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")
     if corpus is not None:
         return str(corpus)
-    with _reading() as update:
+    with job_progress("reading", shown=_first()) as update:
         if total_capture is not None:
             return total_capture_corpus(total_capture, update)
         assert human36m is not None
         return human36m_corpus(human36m, update)
-
-
-@contextmanager
-def _reading() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar over takes, and a line for each that is left out."""
-    columns = TextColumn("reading"), BarColumn(), MofNCompleteColumn()
-    with Progress(*columns, console=err, disable=not _first()) as progress:
-        task = progress.add_task("takes", total=None)
-
-        def update(done: int, total: int, note: str) -> None:
-            progress.update(task, completed=done, total=total)
-            if " skipped: " in note:
-                progress.console.print(note, soft_wrap=True)
-
-        yield update

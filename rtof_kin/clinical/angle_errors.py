@@ -25,7 +25,7 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
-from rtof_kin.clinical.comparison import HEADINGS
+from rtof_kin.clinical.comparison import HEADINGS, error_sizes
 from rtof_kin.clinical.comparison_samples import in_time
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
@@ -121,10 +121,7 @@ def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, move
         movement,
         len({one.take for one in own}),
         len(d),
-        rmse=float(np.sqrt(np.mean(d**2))),
-        mae=float(np.mean(np.abs(d))),
-        median=float(np.median(np.abs(d))),
-        offset_removed=float(np.sqrt(np.mean(centred**2))),
+        **error_sizes(d, centred),
         offset=float(np.mean(d)),
         within=float(np.mean(size[stated] <= BAND_95 * sigma[stated])) if stated.any() else float("nan"),
     )

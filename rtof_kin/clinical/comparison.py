@@ -58,6 +58,16 @@ class CurveErrors:
     """Pearson's, of the curves; NaN if one is constant."""
 
 
+def error_sizes(difference: Array, centred: Array) -> dict[str, float]:
+    """Return root mean square, mean and median size of differences (n,), and root mean square without their mean."""
+    return {
+        "rmse": float(np.sqrt(np.mean(difference**2))),
+        "mae": float(np.mean(np.abs(difference))),
+        "median": float(np.median(np.abs(difference))),
+        "offset_removed": float(np.sqrt(np.mean(centred**2))),
+    }
+
+
 def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
     """Compare two curves where both are known; axis: (P,) of the samples; a, b: (P,) rad, with at least one common
     sample.
@@ -68,10 +78,7 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
     own, other = a[known] - a[known].mean(), b[known] - b[known].mean()
     size = float(np.sqrt(np.sum(own**2) * np.sum(other**2)))
     return CurveErrors(
-        rmse=float(np.sqrt(np.mean(difference**2))),
-        mae=float(np.mean(np.abs(difference))),
-        median=float(np.median(np.abs(difference))),
-        offset_removed=float(np.std(difference)),
+        **error_sizes(difference, difference - difference.mean()),
         largest=float(difference[worst]),
         at=float(axis[known][worst]),
         correlation=float(np.sum(own * other) / size) if size > 1e-12 else float("nan"),

@@ -61,11 +61,7 @@ class MeasurementErrors:
     both: MixedError
     """Of the value of a visit: all of these; of a typical visit (mean variance over visits)."""
 
-    def of_visit(self, one: Measured) -> MixedError:
-        """Return the error of the mean of a visit."""
-        return self.of_change(one)
-
-    def of_change(self, *visits: Measured) -> MixedError:
+    def of_means(self, *visits: Measured) -> MixedError:
         """Return the error of the difference of the means of two visits, or of the mean of one; the spread of both is
         estimated by one mean square.
         """
@@ -74,7 +70,7 @@ class MeasurementErrors:
 
     def of_sum(self, a: Measured, b: Measured) -> float:
         """Return the largest standard deviation of the sum of the means of two visits: of shared errors."""
-        return float(np.sqrt(self.of_change(a, b).sigma ** 2 + 2 * a.band_sigma * b.band_sigma))
+        return float(np.sqrt(self.of_means(a, b).sigma ** 2 + 2 * a.band_sigma * b.band_sigma))
 
 
 def measurement_errors(visits: Sequence[Measured]) -> MeasurementErrors:
@@ -83,19 +79,17 @@ def measurement_errors(visits: Sequence[Measured]) -> MeasurementErrors:
     """
     within, dof = mean_square_within([one.values for one in visits])
     bands = float(np.mean([one.band_sigma**2 for one in visits]))
-    if not dof:
-        return MeasurementErrors(MixedError(bands), MixedError(), MixedError(bands))
     spread = float(np.mean([within / len(one.values) for one in visits]))
     return MeasurementErrors(MixedError(bands), MixedError(0.0, within, dof), MixedError(bands, spread, dof))
 
 
 def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
-    """Return the mean square within groups, unit^2, and its degrees of freedom; (NaN, 0) without repeats; groups:
-    (n_v,) values of each visit.
+    """Return the mean square within groups, unit^2, and its degrees of freedom; (0, infinite) without repeats;
+    groups: (n_v,) values of each visit.
     """
     dof = sum(len(group) - 1 for group in groups if len(group))
     if not dof:
-        return float("nan"), 0.0
+        return 0.0, np.inf
     total = sum(float(np.sum((group - np.mean(group)) ** 2)) for group in groups if len(group))
     return total / dof, float(dof)
 
@@ -150,12 +144,12 @@ class Followed:
     @property
     def sigmas(self) -> Array:
         """(V,) standard deviations of the estimates by bands and repeats; NaN where nothing states them."""
-        return np.array([np.nan if one is None else self.errors.of_visit(one).sigma for one in self.visits])
+        return np.array([np.nan if one is None else self.errors.of_means(one).sigma for one in self.visits])
 
     @property
     def half_bands(self) -> Array:
         """(V,) halves of the 95 % intervals of the estimates; NaN where nothing states them."""
-        return np.array([np.nan if one is None else self.errors.of_visit(one).half_width(LEVEL) for one in self.visits])
+        return np.array([np.nan if one is None else self.errors.of_means(one).half_width(LEVEL) for one in self.visits])
 
     def outcome(self, visit: int) -> Outcome:
         """Return the answer for a visit."""
@@ -218,10 +212,6 @@ class FollowUp:
     def last(self) -> int:
         """Index of the visit that the verdict is about: the last one, or the one before of the baseline."""
         return len(self.visits) - 1 if self.baseline != len(self.visits) - 1 else self.baseline - 1
-
-    def of(self, outcome: Outcome, visit: int) -> tuple[Followed, ...]:
-        """Return the measures with an outcome."""
-        return tuple(one for one in self.measures if one.outcome(visit) is outcome)
 
 
 def follow_up(
@@ -363,6 +353,6 @@ def _followed(
         if number == baseline or one is None or first is None:
             changes.append(None)
             continue
-        found = change(measure.name, first.mean, one.mean, errors.of_change(first, one), not why_not)
+        found = change(measure.name, first.mean, one.mean, errors.of_means(first, one), not why_not)
         changes.append(found)
     return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)

@@ -283,7 +283,6 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
                 f"{side}: {strikes} heel strike(s), but no two with a toe off and a strike of the other foot "
                 f"between them within {LONGEST_STRIDE:g} s: no stride"
             )
-        notes += _warnings(side, own)
     symmetry = {}
     if len(summary) < 2:
         notes.append("symmetry needs a complete stride of each side")
@@ -307,24 +306,6 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
     return bool((angles.is_trusted(own)[:, knee] | ~np.isfinite(angles.values[own, knee]))[inside].all())
 
 
-def _warnings(side: str, strides: list[Stride]) -> list[str]:
-    """Sentences on strides that are not those of steady walking."""
-    notes = []
-    if len(strides) > 2:
-        mean, spread, _ = _statistics(strides, "stride_time")
-        if spread > UNSTEADY * mean:
-            notes.append(
-                f"{side}: stride times are {mean:.2f} +- {spread:.2f} s, which is not steady walking; means "
-                "and curves combine different movements"
-            )
-    if strides and np.median([stride.stance_share for stride in strides]) < STANCE[0]:
-        notes.append(
-            f"{side}: stance takes less than {100 * STANCE[0]:.0f} % of the stride: running, or not gait; "
-            "event detection assumes walking"
-        )
-    return notes
-
-
 def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:
     values = np.array([getattr(stride, name) for stride in strides])
     spread = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
@@ -343,7 +324,9 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     for s in gait.counted:
         own, at = s.frames(times), s.start + PHASES * s.stride_time
         values = angles.trusted_values[own]
-        values[:, headings] = _from_progression(values[:, headings], times[own], s, gait.events)
+        turned = np.nan_to_num(stride_shape(s, gait.events).turn) * ((times[own] - s.start) / s.stride_time - 0.5)
+        ahead = progression(s, gait.events) + turned
+        values[:, headings] = (values[:, headings] - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi
         sampled[s.side].append(signals.interpolate(times[own], values, at, max_gap))
     out = []
     for a, row in enumerate(angles.rows):
@@ -352,11 +335,3 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
             if known := [curve for curve in curves if np.isfinite(curve).all()]:
                 out.append(CycleCurves(row.name, side, np.array(known)))
     return tuple(out)
-
-
-def _from_progression(values: Array, times: Array, stride: Stride, events: GaitEvents) -> Array:
-    """Headings (T', n), rad, at times of a stride, from the direction in which the person walks."""
-    turn = stride_shape(stride, events).turn
-    phase = (times - stride.start) / stride.stride_time
-    ahead = progression(stride, events) + np.nan_to_num(turn) * (phase - 0.5)
-    return np.asarray((values - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi)

@@ -137,7 +137,7 @@ class JointTorques:
 
 def joint_torques(
     motion: Motion | MotionSource,
-    weight_kg: float | None,
+    weight_kg: float,
     height: float | None = None,
     sex: str | None = None,
     support: NDArray[np.int_] | None = None,
@@ -153,10 +153,8 @@ def joint_torques(
         support: (T,) the foot that bears all load, see `FootContacts.support`; None if unknown.
 
     Raises:
-        InvalidInputError: no body mass, implausible values, or wrong support.
+        InvalidInputError: implausible values, or wrong support.
     """
-    if weight_kg is None:
-        raise InvalidInputError("joint torques: no weight is given; they are proportional to it: pass it in kg")
     source = MotionSource.of(motion)
     skeleton = source.skeleton.with_mass(weight_kg, sex)
     notes = _notes(source, height, support is None)

@@ -29,7 +29,7 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE, repetition_spans
+from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE, repetition_spans, with_strides
 from rtof_kin.clinical.comparison_change import Measured
 from rtof_kin.clinical.comparison_samples import Spans, own_side, repeats_of, whole
 from rtof_kin.clinical.gait_events import Stride
@@ -248,7 +248,7 @@ def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Mea
 
 def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Measured]]:
     angles = trial.analysis.angles
-    strides = {side: [(s.start, s.stop) for s in trial.analysis.gait.counted if s.side == side] for side in SIDES}
+    strides = with_strides(trial.name, angles, trial.analysis.gait).strides
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
     ranges = {row.name: row for row in trial.analysis.ranges}
     for row in angles.rows:

@@ -92,8 +92,9 @@ _UNKNOWN: Final = "unknown"
 
 def environment() -> dict[str, str]:
     """Return versions, processor, way of evaluation and threads by name; to be called after a computation."""
-    # Linear algebra that NumPy and SciPy were built with, if they are loaded.
-    found = {}
+    from rtof_kin.core.numerics.c_compiler import evaluated  # slow to import
+
+    found = {}  # linear algebra that NumPy and SciPy were built with, if they are loaded
     for name in ("numpy", "scipy"):
         if (module := sys.modules.get(name)) is not None:
             blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
@@ -108,7 +109,7 @@ def environment() -> dict[str, str]:
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
         "instructions": " ".join(f"{n}={os.environ[n]}" for n in SWITCHES if n in os.environ) or "all",
-        "energy": _energy(),
+        "energy": evaluated(),
         "threads": str(threads() or _UNKNOWN),
     }
 
@@ -146,10 +147,3 @@ def processor() -> str:
     model = facts.get("model name") or facts.get("CPU part") or platform.machine()
     flags = " ".join(sorted((facts.get("flags") or facts.get("Features") or "").split()))
     return f"{model}, instructions {hashlib.sha256(flags.encode()).hexdigest()[:8]}"
-
-
-def _energy() -> str:
-    """Return how the energy was evaluated."""
-    from rtof_kin.core.numerics.c_compiler import evaluated
-
-    return evaluated()

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
+from rtof_kin.core.files.text import numbers_of, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
 Lines = list[tuple[int, str]]  #: Numbered lines that are neither empty nor comments
@@ -90,18 +90,6 @@ def _text_lines(path: Path) -> Lines:
     return lines
 
 
-def _numbers(path: Path, line: int, words: Sequence[str], count: int, what: str) -> list[float]:
-    """Return `count` finite numbers from the words of a line."""
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(abs(value) <= LARGEST_NUMBER for value in values):
-        found = " ".join(words)[:40]
-        raise FileFormatError(path, f"{what}: expected {count} number(s), found {found!r}", line)
-    return values
-
-
 def _axis_order(path: Path, line: int, word: str) -> str:
     if sorted(word.lower()) != ["x", "y", "z"]:
         raise FileFormatError(path, f"axis order {word[:40]!r} is not one like XYZ", line)
@@ -131,7 +119,7 @@ def _read_units(lines: Lines, skeleton: _Skeleton) -> None:
     for line, text in lines:
         key, *words = text.split()
         if key == "length":
-            (skeleton.length_unit,) = _numbers(path, line, words, 1, ":units length")
+            (skeleton.length_unit,) = numbers_of(path, line, words, 1, "numbers of :units length")
             if skeleton.length_unit <= 0:
                 raise FileFormatError(path, ":units length is not positive", line)
         elif key == "angle":
@@ -150,9 +138,9 @@ def _read_root(lines: Lines, skeleton: _Skeleton) -> None:
         elif key == "axis":
             order = _axis_order(path, line, "".join(words))
         elif key == "position":
-            skeleton.root_position = _numbers(path, line, words, 3, "root position")
+            skeleton.root_position = numbers_of(path, line, words, 3, "numbers of root position")
         elif key == "orientation":
-            angles = _numbers(path, line, words, 3, "root orientation")
+            angles = numbers_of(path, line, words, 3, "numbers of root orientation")
     root.axis = (order, angles)
     if not root.dofs:
         line_of_root = lines[0][0] if lines else None
@@ -194,12 +182,12 @@ def _read_bone_line(path: Path, line: int, bone: _Bone, key: str, words: list[st
     if key == "name":
         bone.name = " ".join(words)
     elif key == "direction":
-        bone.direction = _numbers(path, line, words, 3, "direction")
+        bone.direction = numbers_of(path, line, words, 3, "numbers of direction")
     elif key == "length":
-        (bone.length,) = _numbers(path, line, words, 1, "length")
+        (bone.length,) = numbers_of(path, line, words, 1, "numbers of length")
     elif key == "axis":
         order = _axis_order(path, line, words[-1] if words else "")
-        bone.axis = (order, _numbers(path, line, words[:-1], 3, "axis"))
+        bone.axis = (order, numbers_of(path, line, words[:-1], 3, "numbers of axis"))
     elif key == "dof":
         bone.dofs = _read_dofs(path, line, words)
 
@@ -270,7 +258,7 @@ def _read_frames(path: Path, bones: list[_Bone], angle_unit: float) -> tuple[lis
         count = len(moving[name].dofs)
         if len(words) != count or len(rows[name]) != frames - 1:
             raise FileFormatError(path, f"{name}: expected {count} value(s) once a frame, found {text[:40]!r}", line)
-        rows[name].append(_numbers(path, line, words, count, name))
+        rows[name].append(numbers_of(path, line, words, count, f"numbers of {name}"))
     check_frame(lines[-1][0])
     if frames == 0:
         raise FileFormatError(path, "no frames", lines[-1][0])

@@ -18,7 +18,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
+from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
 
 Row = tuple[int, str]  #: Number of a line, from 1, and its text
@@ -170,7 +170,7 @@ def _read_motion(path: Path, lines: list[str], start: int, width: int, rate_hz: 
     if len(rows) != frames:
         problem = f"{frames:g} frames are announced, {len(rows)} lines of values follow"
         raise FileFormatError(path, problem, len(lines))
-    return rate_hz, _read_values(path, rows, width)
+    return rate_hz, np.array([numbers_of(path, n, text.split(), width, "values of the channels") for n, text in rows])
 
 
 def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
@@ -184,22 +184,6 @@ def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
     if not np.isfinite(value):
         raise FileFormatError(path, f"no number follows {label!r}", line)
     return line, value
-
-
-def _read_values(path: Path, rows: list[Row], width: int) -> Array:
-    """Read values (T, width) of numbered lines."""
-    table = np.empty((len(rows), width))
-    for i, (line, text) in enumerate(rows):
-        cells = text.split()
-        if len(cells) != width:
-            raise FileFormatError(path, f"{len(cells)} values, the channels are {width}", line)
-        row = list(map(_float_or_nan, cells))
-        for column, value in enumerate(row, 1):
-            if not abs(value) <= LARGEST_NUMBER:
-                found = cells[column - 1][:40]
-                raise FileFormatError(path, f"value {column} is {found!r}, not a finite number", line)
-        table[i] = row
-    return table
 
 
 def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> ArticulatedMotion:

@@ -28,7 +28,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
+from rtof_kin.core.files.text import check_file, measurable, numbers_of, read_text
 from rtof_kin.core.packages import optional
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
@@ -100,7 +100,10 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
         raise FileFormatError(
             path, f"NumFrames announces {frames} frames and {len(rows)} follow; is the file cut off?", len(lines)
         )
-    table = np.array([_read_row(path, n, line, 2 + 3 * count) for n, line in rows])
+    cells, what = 1 + 3 * count, "cells of time and markers; one that was not seen has empty cells with their tabs"
+    of = [(n, line.split("\t")[1:]) for n, line in rows]
+    kept = [(n, row if any(map(str.strip, row[cells:])) else row[:cells]) for n, row in of]  # tabs may follow
+    table = np.array([numbers_of(path, n, row, cells, what, gaps=True) for n, row in kept])
     p_file = table[:, 1:].reshape(frames, count, 3) * metres
     try:
         return MarkerSequence(table[:, 0], names, p_file @ R_world_file.T)
@@ -143,25 +146,6 @@ def _read_names(path: Path, cells: list[str], count: int) -> tuple[str, ...]:
         found = f"found {len(names)}" + (f", and {between[0][:40]!r} between" if between else "")
         raise FileFormatError(path, f"expected Frame#, Time and {count} names, one in every third cell; {found}", 4)
     return tuple(names)
-
-
-def _read_row(path: Path, line: int, text: str, wanted: int) -> list[float]:
-    """Return time and coordinates of a frame, NaN where a cell is empty."""
-    cells = text.split("\t")
-    if len(cells) < wanted or any(cell.strip() for cell in cells[wanted:]):
-        raise FileFormatError(
-            path,
-            f"{len(cells)} cells where there are {wanted} columns; a marker that was not seen has "
-            "empty cells with their tabs",
-            line,
-        )
-    try:
-        values = [float(cell) if cell.strip() else np.nan for cell in cells[1:wanted]]
-    except ValueError as error:
-        raise FileFormatError(path, f"not a number: {error}", line) from error
-    if any(abs(value) > LARGEST_NUMBER for value in values):
-        raise FileFormatError(path, "a number is infinite; leave the cells of a gap empty", line)
-    return values
 
 
 def write_trc(

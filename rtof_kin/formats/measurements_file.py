@@ -279,7 +279,12 @@ def _arrays(m: Measurements) -> tuple[dict[str, Array], dict[str, NDArray[Any]]]
     }
     rows: dict[str, NDArray[Any]] = {"times": m.times}
     for i, view in enumerate(m.views):
-        own, video = _view_arrays(view), video_arrays(view)
+        seen = np.maximum(np.round(view.confidence * FULL), view.confidence > 0)  # a seen point stays above 0
+        own: dict[str, NDArray[Any]] = {
+            "uv_px": multiples(view.uv_px, _PIXEL_BITS).astype(np.float32),
+            "confidence": seen.astype(np.uint8),
+        }
+        video = video_arrays(view)
         if "R_still_camera" in video:
             own["rotvec_still_camera"] = rotation_vectors(video.pop("R_still_camera"), _CAMERA_BITS)
         if "video_times" in video:
@@ -293,9 +298,3 @@ def _arrays(m: Measurements) -> tuple[dict[str, Array], dict[str, NDArray[Any]]]
         rows["truth_rotvec"] = rotation_vectors(m.truth.R_world_bone, _TRUTH_BITS)
         rows["truth_valid"] = m.truth.valid
     return constant, rows
-
-
-def _view_arrays(view: KeypointSequence) -> dict[str, NDArray[Any]]:
-    """Return the points of a camera; a point that was seen keeps a confidence above 0."""
-    confidence = np.maximum(np.round(view.confidence * FULL), view.confidence > 0)
-    return {"uv_px": multiples(view.uv_px, _PIXEL_BITS).astype(np.float32), "confidence": confidence.astype(np.uint8)}

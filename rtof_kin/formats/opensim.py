@@ -41,7 +41,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import measurable, read_text, write_text
+from rtof_kin.core.files.text import numbers_of, read_text, write_text
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.formats.joint_trajectory import BASE_TURN
 from rtof_kin.formats.motion_views import AnyMotion, check_known, even_times, shares_from_prior
@@ -93,9 +93,7 @@ def read_opensim_table(path: str | Path) -> OpenSimTable:
     rows = [(n, line) for n, line in enumerate(lines[first:], first + 1) if line.strip()]
     if not rows:
         raise FileFormatError(path, "has column names and no row", first)
-    table = np.array([_row(path, n, line, len(labels)) for n, line in rows])
-    if not measurable(table):
-        raise FileFormatError(path, "holds a number that cannot be an angle or a length")
+    table = np.array([numbers_of(path, n, _cells(line), len(labels), gaps=True) for n, line in rows])
     states = {i: found[1] for i, label in enumerate(labels) if (found := _STATE.fullmatch(label))}
     chosen = states or dict(enumerate(labels[1:], 1))
     header = "\n".join(lines[:end])
@@ -115,16 +113,6 @@ def read_opensim_table(path: str | Path) -> OpenSimTable:
 
 def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in (line.rstrip("\r\n").split("\t") if "\t" in line else line.split())]
-
-
-def _row(path: Path, number: int, line: str, columns: int) -> list[float]:
-    cells = _cells(line)
-    if len(cells) != columns:
-        raise FileFormatError(path, f"{len(cells)} cells under {columns} column names", number)
-    try:
-        return [float(cell) if cell else float("nan") for cell in cells]
-    except ValueError as error:
-        raise FileFormatError(path, f"holds something else than numbers ({error})", number) from error
 
 
 _VERSION: Final = "40000"  #: Version of the format; every OpenSim 4 reads it

@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
+from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
@@ -190,10 +190,8 @@ def _numbers(path: Path, rows: Sequence[Sequence[str]], lines: Sequence[int], co
         values = np.zeros(0)
     if values.shape == (len(rows), columns) and np.all(np.abs(values) <= LARGEST_NUMBER):
         return values
-    wrong = next(i for i, row in enumerate(rows) if len(row) != columns or not all(map(_is_number, row)))
-    odd = next((f", among them {cell[:40]!r}" for cell in rows[wrong] if not _is_number(cell)), "")
-    problem = f"expected {what}, found {len(rows[wrong])} cells{odd}; {_AGAIN}"
-    raise FileFormatError(path, problem, lines[wrong])
+    parsed = [numbers_of(path, line, row, columns, f"{what} ({_AGAIN})") for line, row in zip(lines, rows, strict=True)]
+    return np.array(parsed)
 
 
 def _is_count(text: str) -> bool:

@@ -26,6 +26,9 @@ from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
 
 GYROSCOPE: Final = "gyroscope against orientation"
+JUMP: Final = "jump of the orientation"
+DELAY: Final = "delay of the gyroscope"
+UNIT_NORM: Final = "norm of quaternions, less 1"
 _TURNING_DEG, _TURNING_SHARE = 5.0, 0.15  # [deg/s], [-] RMS difference; recordings: 1-7 deg/s at 50-170
 _JUMP_DEG = 5.0  # [deg] in one step beyond the gyroscope's rotation; recordings have up to 0.5
 _LARGEST_DELAY = 1.5  # [samples]; a mean rate since the last sample has 0.5
@@ -132,38 +135,24 @@ def _both_rates(stream: SensorStream, shift: float | None = None) -> tuple[Array
 
 def turning_checks(stream: SensorStream) -> tuple[Check, ...]:
     """Check `gyroscope`, jumps of the orientation, delay of the gyroscope and norm of quaternions."""
-    shift = delay(stream)
-    first = gyroscope(stream, shift)
-    return (first, _jumps(stream, shift, first.passed), _delay(stream, shift), _quaternion_norm(stream))
-
-
-def _jumps(stream: SensorStream, shift: float, agreeing: bool) -> Check:
-    name, pair = "jump of the orientation", _both_rates(stream, shift) if agreeing else None
-    if pair is None:
-        why = "gyroscope and orientation do not agree, or one is missing"
-        return Check.unknown(name, stream.name, "deg", why)
-    turns = np.degrees(np.linalg.norm(pair[0] - pair[1], axis=-1)) / stream.rate_hz
-    text = f"{np.sum(turns > _JUMP_DEG)} of {len(turns)} steps are jumps: was the filter reset, or settling?"
-    return Check(name, stream.name, float(turns.max()), _JUMP_DEG, "deg", text)
-
-
-def _delay(stream: SensorStream, shift: float) -> Check:
-    name = "delay of the gyroscope"
-    if np.isnan(shift):
-        why = "gyroscope and orientation do not turn together, or one is missing"
-        return Check.unknown(name, stream.name, "samples", why)
-    order = "after" if shift > 0 else "before"
-    text = f"It comes {abs(shift / stream.rate_hz) * 1000:.0f} ms {order} the orientation"
-    return Check(name, stream.name, abs(shift), _LARGEST_DELAY, "samples", text)
-
-
-def _quaternion_norm(stream: SensorStream) -> Check:
-    name, norm = "norm of quaternions, less 1", stream.quaternion_norm
-    if norm is None or not np.isfinite(norm).any():
-        return Check.unknown(name, stream.name, "", "there are no quaternions")
-    off = np.abs(norm - 1)
-    text = f"The worst is sample {np.nanargmax(off)}: these are no orientations, or damaged ones"
-    return Check(name, stream.name, float(np.nanmax(off)), _NORM, "", text)
+    name, shift, norm = stream.name, delay(stream), stream.quaternion_norm
+    first, pair = gyroscope(stream, shift), _both_rates(stream, shift)
+    jump = Check.unknown(JUMP, name, "deg", "gyroscope and orientation do not agree, or one is missing")
+    if first.passed and pair is not None:
+        turns = np.degrees(np.linalg.norm(pair[0] - pair[1], axis=-1)) / stream.rate_hz
+        text = f"{np.sum(turns > _JUMP_DEG)} of {len(turns)} steps are jumps: was the filter reset, or settling?"
+        jump = Check(JUMP, name, float(turns.max()), _JUMP_DEG, "deg", text)
+    late = Check.unknown(DELAY, name, "samples", "gyroscope and orientation do not turn together, or one is missing")
+    if not np.isnan(shift):
+        order = "after" if shift > 0 else "before"
+        text = f"It comes {abs(shift / stream.rate_hz) * 1000:.0f} ms {order} the orientation"
+        late = Check(DELAY, name, abs(shift), _LARGEST_DELAY, "samples", text)
+    unit = Check.unknown(UNIT_NORM, name, "", "there are no quaternions")
+    if norm is not None and np.isfinite(norm).any():
+        off = np.abs(norm - 1)
+        text = f"The worst is sample {np.nanargmax(off)}: these are no orientations, or damaged ones"
+        unit = Check(UNIT_NORM, name, float(np.nanmax(off)), _NORM, "", text)
+    return first, jump, late, unit
 
 
 def _described(R_sensor_oriented: Array) -> str:
@@ -276,13 +265,21 @@ def _specific_force(stream: SensorStream, rest: Mask) -> Check:
 
 
 def _mean_force(stream: SensorStream, rest: Mask) -> tuple[Check, ...]:
-    """Check the mean specific force in inertial axes: its direction, and its size less gravity."""
-    mean = _mean_in_inertial(stream, rest)
-    if mean is None:
+    """Check the mean specific force in inertial axes: its direction, and its size less gravity; over all samples, or of
+    a short recording over those at rest.
+    """
+    f, R, rate, seconds = stream.f_sensor, stream.R_inertial_sensor, stream.rate_hz, 0.0
+    if f is not None and R is not None:
+        known = np.isfinite(f).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1))
+        seconds = float(known.sum()) / rate
+        if not seconds >= _ENOUGH_MOTION:
+            known &= rest
+            seconds = seconds if known.sum() / rate >= _ENOUGH_REST else 0.0
+    if f is None or R is None or not seconds:
         why = _missing(stream) or f"there is neither {_ENOUGH_REST:g} s at rest nor {_ENOUGH_MOTION:g} s in all"
         unknown = ((DIRECTION, "deg"), (MEAN_ACCELERATION, "m/s2"))
         return tuple(Check.unknown(name, stream.name, unit, why) for name, unit in unknown)
-    force, seconds = mean
+    force = np.einsum("tij,tj->i", R[known], f[known]) / known.sum()
     slack = np.degrees(_VELOCITY / seconds / STANDARD_GRAVITY)
     x, y, z = force / max(float(np.linalg.norm(force)), 1e-12)
     angle = float(np.degrees(np.arctan2(np.hypot(x, y), z)))
@@ -307,20 +304,6 @@ def _lever_arm(stream: SensorStream, per_metre: float) -> Check:
     arm = float(np.nanpercentile(a, 90)) / per_metre
     text = f"The two belong to a lever arm of {arm:.2g} m"
     return Check(LEVER, stream.name, _factor(arm / _LEVER_ARM), _LEVER_FACTOR, "times", text)
-
-
-def _mean_in_inertial(stream: SensorStream, rest: Mask) -> tuple[Array, float] | None:
-    """Return the mean specific force in inertial axes (3,) and its duration, s, if long enough."""
-    f, R = stream.f_sensor, stream.R_inertial_sensor
-    if f is None or R is None:
-        return None
-    known = np.isfinite(f).all(axis=-1) & np.isfinite(R).all(axis=(-2, -1))
-    seconds = float(known.sum()) / stream.rate_hz
-    if not seconds >= _ENOUGH_MOTION:
-        known &= rest
-        if not known.sum() / stream.rate_hz >= _ENOUGH_REST:
-            return None
-    return np.einsum("tij,tj->i", R[known], f[known]) / known.sum(), seconds
 
 
 def _factor(ratio: float) -> float:

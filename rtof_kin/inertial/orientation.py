@@ -24,6 +24,7 @@ from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
 _MOST_STEPS = 100  # of the filter for each sample
+_LONGEST_BRIDGED = 0.1  # [s] of a gap that is interpolated; the filter restarts after longer ones
 _SHORTEST_PIECE = 1.0  # [s] of samples without a longer gap, for the filter to settle
 
 
@@ -33,14 +34,11 @@ class OrientationSettings:
 
     magnetometer: bool | None = None  # whether it gives the heading; None: if there is one
     causal: bool = False  # whether only the past of each sample is used
-    longest_bridged: float = 0.1  # [s] of a gap that is interpolated; the filter restarts after longer ones
     rate_hz: float | None = None  # [Hz] sampling rate; None: from the stream's median step
 
     def __post_init__(self) -> None:
-        for name in ("longest_bridged", "rate_hz"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise InvalidInputError(f"orientation {name} is {value}; it must be positive")
+        if self.rate_hz is not None and not 0 < self.rate_hz < np.inf:
+            raise InvalidInputError(f"orientation rate_hz is {self.rate_hz}; it must be positive")
 
 
 _INSTALL_VQF = "pip install vqf, which needs a C++ compiler on this platform"
@@ -65,7 +63,10 @@ def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFA
     step = 1 / (settings.rate_hz or stream.rate_hz)
     R = np.full((len(stream), 3, 3), np.nan)
     used = []
-    for first, last in _pieces(stream.times, known, max(settings.longest_bridged, 1.5 * step)):
+    at = np.flatnonzero(known)
+    breaks = np.flatnonzero(np.diff(stream.times[at]) > max(_LONGEST_BRIDGED, 1.5 * step)) + 1
+    for piece in np.split(at, breaks) if len(at) else ():  # without longer gaps
+        first, last = int(piece[0]), int(piece[-1])
         rows = slice(first, last + 1)
         if stream.times[last] - stream.times[first] >= _SHORTEST_PIECE:
             R[rows] = _estimated(stream, (w, f, m), rows, known[rows], step, settings.causal)
@@ -92,16 +93,6 @@ def log_with_orientation(
     log.select(names)
     streams = [with_orientation(s, settings) if s.name in names else s for s in log.streams]
     return replace(log, streams=tuple(streams))
-
-
-def _pieces(times: Array, known: Mask, longest: float) -> list[tuple[int, int]]:
-    """Return first and last sample of each stretch of known samples without longer gaps."""
-    at = np.flatnonzero(known)
-    if len(at) == 0:
-        return []
-    breaks = np.flatnonzero(np.diff(times[at]) > longest)
-    firsts, lasts = at[[0, *(breaks + 1)]], at[[*breaks, len(at) - 1]]
-    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
 def _estimated(

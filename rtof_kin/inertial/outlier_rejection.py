@@ -58,17 +58,15 @@ def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFau
 def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[StreamFault]:
     """Yield intervals without samples within a span, s; one for all sensors where all have it in common."""
     known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
-    by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
+    by_sensor = []
+    for own in known.T:
+        times = imus.times[own]
+        edges = np.array([start, *times[(times > start) & (times < stop)], stop])
+        by_sensor.append([(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)])
     shared = set(by_sensor[0]).intersection(*by_sensor[1:])
     yield from (StreamFault(FaultKind.ENDED, "all sensors", *span) for span in sorted(shared))
     for name, spans in zip(imus.names, by_sensor, strict=True):
         yield from (StreamFault(FaultKind.ENDED, name, *span) for span in spans if span not in shared)
-
-
-def _without(times: Array, start: float, stop: float) -> list[tuple[float, float]]:
-    inside = times[(times > start) & (times < stop)]
-    edges = np.array([start, *inside, stop])
-    return [(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)]
 
 
 def repeated_samples(imus: ImuSequence) -> Mask:
@@ -272,8 +270,17 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     undone = np.array([off(mistake) <= limit for mistake in _MISTAKES])
     explains = [k for k, holds in enumerate(undone) if np.mean(holds[wrong]) >= _EXPLAINED]
     names = _listed(imus.names, wrong)
+    if not explains and value < _UNEXPLAINED * most:
+        why = f"{names}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
+        return Check.unknown(GRAVITY, "sensors", "m/s2", why)
     if not explains:
-        return _unexplained(names, value, most)
+        advice = (
+            "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
+            "swapped or mirrored, is R_world_inertial of these sensors, is the reference's z axis up? "
+            "`rtof-kin inspect` looks at each sensor"
+        )
+        cause = f"{UNEXPLAINED} {names} do not belong together"
+        return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
     first = undone[explains[0]]
     # Inverting the orientation of a sensor that hardly turns may not show: then all have the mistake.
     names = "all sensors" if first[judged].all() else names
@@ -285,19 +292,6 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     if others:
         advice += f". Or else {' or '.join(other.cause for other in others)}"
     return Check(GRAVITY, names, value, most, "m/s2", advice, cause=mistake.cause)
-
-
-def _unexplained(names: str, value: float, most: float) -> Check:
-    if value < _UNEXPLAINED * most:
-        why = f"{names}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
-        return Check.unknown(GRAVITY, "sensors", "m/s2", why)
-    advice = (
-        "No usual mistake explains it (sign, gravity removed, quaternion order or inverse). Are axes "
-        "swapped or mirrored, is R_world_inertial of these sensors, is the reference's z axis up? "
-        "`rtof-kin inspect` looks at each sensor"
-    )
-    cause = f"{UNEXPLAINED} {names} do not belong together"
-    return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
 
 
 def _listed(names: Sequence[str], chosen: Mask) -> str:

@@ -142,7 +142,13 @@ class OnlineEstimator:
             name = getattr(sample, "sensor", "the video")
             raise InvalidInputError(f"sample of {name}: its time is not finite")
         if isinstance(sample, ImuSample):
-            self._push_imu(sample)
+            if self._sensors is None:
+                return
+            if self._origin is not None and sample.time < self._time(self._window.first):
+                self._drop(sample.sensor)
+                return
+            self._sensors.add(sample.sensor, sample.time, sample.R_inertial_sensor, sample.f_sensor)
+            self._newest = max(self._newest, sample.time)
             return
         L = len(self._landmarks)
         if np.shape(sample.uv_px) != (L, 2) or np.shape(sample.confidence) != (L,):
@@ -153,15 +159,6 @@ class OnlineEstimator:
             return
         self._newest = max(self._newest, sample.time)
         self._pending.append(sample)
-
-    def _push_imu(self, sample: ImuSample) -> None:
-        if self._sensors is None:
-            return
-        if self._origin is not None and sample.time < self._time(self._window.first):
-            self._drop(sample.sensor)
-            return
-        self._sensors.add(sample.sensor, sample.time, sample.R_inertial_sensor, sample.f_sensor)
-        self._newest = max(self._newest, sample.time)
 
     def _drop(self, what: str) -> None:
         self.dropped[what] = self.dropped.get(what, 0) + 1

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import methodcaller
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +18,7 @@ import numpy as np
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import RtofError
 from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of
-from rtof_kin.live.feed import Feed, SinkGroup
+from rtof_kin.live.feed import Feed
 from rtof_kin.live.monitor import Monitor, State, StreamSummary
 from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
@@ -83,7 +84,7 @@ class LiveSession:
         self._setup, self._estimator, self._recorder = setup, estimator, recorder
         self._feeds = [Feed(source, in_background) for source in sources]
         self._clock = SessionClock({source.name: source.clock for source in sources})
-        self._sinks = SinkGroup(sinks)
+        self._sinks = list(sinks)
         known = setup.calibration.sensors if setup.calibration is not None else ()
         self.monitor = Monitor(known, patience_s=patience_s)
         """State of all streams."""
@@ -265,9 +266,22 @@ class LiveSession:
         for estimate in estimates:
             if self._recorder is not None:
                 self._recorder.add_estimate(estimate, arrival)
-            for sentence in self._sinks.send(estimate):
+            for sentence in self._to_sinks(methodcaller("send", estimate)):
                 self._tell(sentence, arrival)
         self._tell_notices(arrival)
+
+    def _to_sinks(self, call: Callable[[Sink], None]) -> list[str]:
+        """Call each sink; one that fails is closed and dropped. Return a sentence for each of these."""
+        dropped = []
+        for sink in tuple(self._sinks):
+            try:
+                call(sink)
+            except Exception as error:  # of a foreign listener or library
+                self._sinks.remove(sink)
+                with suppress(Exception):
+                    sink.close()
+                dropped.append(f"{type(sink).__name__}: gets no more estimates ({str(error) or type(error).__name__})")
+        return dropped
 
     def _tell_notices(self, arrival: float) -> None:
         for sentence in self._recorder.notices() if self._recorder is not None else ():
@@ -284,7 +298,7 @@ class LiveSession:
             self._sentences.append(text)
         if self._recorder is not None:
             self._recorder.tell(text, arrival)
-        for another in self._sinks.tell(text):
+        for another in self._to_sinks(methodcaller("tell", text)):
             self._tell(another, arrival)
 
     # --- whole sessions --------------------------------------------------------------------------
@@ -344,7 +358,7 @@ class LiveSession:
             except RtofError as error:
                 self._tell(f"no recording was made: {error}", arrival)
             self._tell_notices(arrival)
-        self._sinks.close()
+        self._to_sinks(methodcaller("close"))
         self._summary = self._summed(self.monitor.elapsed(arrival), folder)
         return self._summary
 

@@ -95,37 +95,32 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
         recording: of this one, corrected as that of the other; the other's where nothing was recorded.
         times: (T,) s of its frames.
     """
-    skeleton, T = like.motion.skeleton, len(times)
-    q = np.full((T, skeleton.nq), np.nan)
-    p = np.full((T, len(skeleton.names), 3), np.nan)
-    poses = PoseSequence(times, p, np.full((*p.shape, 3), np.nan), skeleton.names)
-    known = like.motion.confidence
+    skeleton, known, imus = like.motion.skeleton, like.motion.confidence, like.bone_imus
+
+    def missing(*shape: int) -> Array:
+        return np.full((len(times), *shape), np.nan)
+
+    q, J = missing(skeleton.nq), len(skeleton.names)
+    poses = PoseSequence(times, missing(J, 3), missing(J, 3, 3), skeleton.names)
     if known is not None:
-        joints, pairs = (np.full((T, n, 3, 3), np.nan) for n in (len(known.names), len(known.pairs)))
+        joints, pairs = missing(len(known.names), 3, 3), missing(len(known.pairs), 3, 3)
         known = Confidence(times, known.names, joints, joints, known.pairs, pairs)
-    motion = Motion(skeleton, q, poses, skeleton.check(q), known)
-    keypoints, imus = like.keypoints, like.bone_imus
-    if keypoints is not None:
-        keypoints = evenly_spaced(recording.keypoints or keypoints, times)
     if imus is not None:
         S = len(imus.joints)
-        R, a = np.full((T, S, 3, 3), np.nan), np.full((T, S, 3), np.nan)
-        imus = replace(imus, times=times, R_world_bone=R, a_world=a)
-    solution = None
-    if like.solution is not None:
-        report = FragmentReport(0, SolverStatus.UNOBSERVED, {}, 0, 0.0, np.nan, 0.0, 0.0)
-        solution = FragmentSolution(poses, (report,))
+        imus = replace(imus, times=times, R_world_bone=missing(S, 3, 3), a_world=missing(S, 3))
+    report = FragmentReport(0, SolverStatus.UNOBSERVED, {}, 0, 0.0, np.nan, 0.0, 0.0)
+    keypoints = like.keypoints
     return replace(
         like,
         recording=recording,
-        motion=motion,
+        motion=Motion(skeleton, q, poses, skeleton.check(q), known),
         stages={like.mode: poses},
-        keypoints=keypoints,
+        keypoints=None if keypoints is None else evenly_spaced(recording.keypoints or keypoints, times),
         bone_imus=imus,
-        solution=solution,
+        solution=None if like.solution is None else FragmentSolution(poses, (report,)),
         metrics=None,
         stage_metrics={},
-        root_sigma=None if like.root_sigma is None else np.full(T, np.nan),
+        root_sigma=None if like.root_sigma is None else missing(),
         faults=(),
         checks=(),
         warnings=(f"{times[0]:.1f} to {times[-1]:.1f} s: not reconstructed: {why}",),

@@ -114,7 +114,6 @@ def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: Sel
 
 def _prior_body(job: Job, known: SelfCalibration | None) -> Job:
     recording = job.recording
-    check_height(recording)
     if job.skeleton is not None:
         offsets = job.skeleton.joint_offsets
         recording = replace(recording, joint_offsets=offsets, height=None, bone_lengths=None)
@@ -122,26 +121,9 @@ def _prior_body(job: Job, known: SelfCalibration | None) -> Job:
     return replace(job, recording=recording, skeleton=None).with_solver(known)
 
 
-_HEIGHT_SHARE = 0.1
-"""Largest relative difference of a declared height from that of the bones: five standard deviations of
-people with the same sum of bone lengths."""
 _SIGMAS = 6.0
 """Prior standard deviations beyond which an estimate contradicts the prior; sensors that slip all through
 a short recording reach four in one of three."""
-
-
-def check_height(recording: Recording) -> None:
-    """Raise where a declared height and declared bone lengths are of different bodies.
-
-    Raises:
-        CalibrationError: the heights differ by more than 10 %; names both.
-    """
-    declared, made = recording.height, recording.skeleton.height
-    if declared is not None and abs(made / declared - 1) > _HEIGHT_SHARE:
-        raise CalibrationError(
-            f"recording {recording.name}: its declared height is {declared:.2f} m, but its bone lengths "
-            f"make a body {made:.2f} m tall; measure again, or give only one of the two"
-        )
 
 
 def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:

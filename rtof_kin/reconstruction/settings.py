@@ -41,6 +41,8 @@ class ReconstructionSettings:
             raise InvalidInputError("settings: give the space, or the settings of a fragment, not both")
         if self.space is not None and self.space not in SPACES:
             raise UnknownNameError("space", [self.space], SPACES)
+        if self.frames < 8 or self.frames % 2:
+            raise InvalidInputError(f"frames: N = {self.frames} must be even and at least 8")
         if unknown := sorted({*self.guards} - {*GUARDS}):
             raise UnknownNameError("guard", unknown, GUARDS)
 

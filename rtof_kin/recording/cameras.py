@@ -181,17 +181,11 @@ def filmed_stream(
         )
     note = (
         f"The camera turned by up to {np.degrees(np.nanmax(motion.angles)):.0f} deg; the keypoints are those "
-        "of a camera that stands still in the mean orientation. The translation of the hand is not modelled."
+        "of a camera that stands still in the mean orientation; those seen while its rotation is unknown, or far from "
+        "that, are left out. The translation of the hand is not modelled."
     )
     if motion.sigma:
         note += f" The turning is known to {np.degrees(motion.sigma):.2f} deg."
-    lost, start = 0, 0
-    for block in found.blocks():
-        R = R_still_camera[start : start + len(block)]
-        lost += int(block.seen.sum() - turned(block, R, still_camera).seen.sum())
-        start += len(block)
-    if lost:
-        note += f" {lost} points are left out where it is unknown or turned too far."
     return Stream(times, part), note
 
 

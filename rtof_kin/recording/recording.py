@@ -24,7 +24,7 @@ from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import readonly
+from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
@@ -192,9 +192,8 @@ class Recording(RecordingSource):
     def _check_body(self) -> None:
         """Check that the offsets agree with the lengths and the height given beside them."""
         lengths = self.skeleton.bone_lengths
+        indices_of("bone in bone_lengths", [*(self.bone_lengths or ())], list(lengths))
         for name, length in (self.bone_lengths or {}).items():
-            if name not in lengths:
-                raise UnknownNameError("bone in bone_lengths", [name], list(lengths))
             if abs(lengths[name] - length) > 1e-6:
                 raise InvalidInputError(
                     f"bone_lengths: {name} is {length:g} m, but joint_offsets make it "
@@ -210,14 +209,8 @@ class Recording(RecordingSource):
         skeleton = self.skeleton
         seen = (self.keypoints, *self.views) if self.keypoints else ()
         own = [name for view in seen for name in view.names if not is_detector_point(name)]
-        named = {
-            "landmark": (own, list(skeleton.landmarks)),
-            "joint in the calibration": (self.calibration.joints if self.calibration else (), skeleton.names),
-        }
-        for kind, (names, known) in named.items():
-            unknown = [name for name in names if name not in known]
-            if unknown:
-                raise UnknownNameError(kind, unknown, known)
+        indices_of("landmark", own, list(skeleton.landmarks))
+        indices_of("joint in the calibration", self.calibration.joints if self.calibration else (), skeleton.names)
         if self.truth is not None and self.truth.names != skeleton.names:
             raise InvalidInputError(
                 f"truth: its joints are not those of the skeleton {skeleton.name} in their order; "

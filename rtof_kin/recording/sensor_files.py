@@ -16,6 +16,7 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
@@ -44,10 +45,8 @@ def imu_stream(
     if table.file is None:
         return None, calibration
     names, imus = _opened(table, calibration, skeleton, source)
-    missing = [name for name in names if calibration is not None and name not in calibration.sensors]
-    if calibration is not None and missing:
-        where = f"sensor (it has no table [imus.sensors.*] in {table.path})"
-        raise UnknownNameError(where, missing, calibration.sensors)
+    if calibration is not None:
+        indices_of(f"sensor (it has no table [imus.sensors.*] in {table.path})", names, calibration.sensors)
     return imus, calibration
 
 

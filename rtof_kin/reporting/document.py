@@ -264,10 +264,13 @@ def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
     pictures: dict[str, bytes] = {}
     if not can_draw():
         return pictures
-    from rtof_kin.reporting.figures import save_figures
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     for figure in figures:
-        (path,) = save_figures({figure.name: figure.draw()}, folder)
+        path, plot = folder / f"{figure.name}.png", figure.draw()
+        plot.set_canvas(FigureCanvasAgg(plot))  # no global pyplot state
+        with new_file(path, overwrite=True) as whole:
+            plot.savefig(whole)
         pictures[figure.name] = path.read_bytes()
     return pictures
 

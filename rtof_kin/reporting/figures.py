@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,9 +12,9 @@ import numpy as np
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.files.folder import new_file
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reporting.document import subplots
+from rtof_kin.reporting import document
+from rtof_kin.reporting.document import Figure, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -30,25 +31,15 @@ STAGE_COLORS: Final = {
 }
 
 
-def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
-    """Write all figures that apply as PNG, and return their paths."""
-    figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
+def write_figures(result: Reconstruction, folder: str | Path) -> None:
+    """Write all figures that apply as PNG."""
+    drawn = [
+        Figure("skeletons", "Skeletons at a few instants from two sides", partial(skeletons, result)),
+        Figure("joint_angles", "Flexion of knees and elbows over time", partial(joint_angles, result)),
+    ]
     if result.stage_metrics:
-        figures["error_over_time"] = error_over_time(result)
-    return save_figures(figures, folder)
-
-
-def save_figures(figures: Mapping[str, Plot], folder: str | Path) -> list[Path]:
-    """Write figures by the names of their files as PNG, and return their paths."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    paths = []
-    for name, figure in figures.items():
-        paths.append(Path(folder) / f"{name}.png")
-        figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
-        with new_file(paths[-1], overwrite=True) as whole:
-            figure.savefig(whole)
-    return paths
+        drawn.append(Figure("error_over_time", "Error of each stage over time", partial(error_over_time, result)))
+    document.write_figures(drawn, Path(folder))
 
 
 def skeletons(result: Reconstruction, instants: int = 5) -> Plot:

@@ -140,55 +140,16 @@ def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> d
     """Return topic -> item -> its value; None if the user must provide it; inputs: of `report.provenance`; bands:
     whether angles have 95 % bands; gaps: description of missing data.
     """
-    confidence = "95 % bands of the posterior, inflated on other subjects"
     subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
     units = {"height_m": "m tall", "mass_kg": "kg"}
     body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
     body += [subject["sex"]] if subject.get("sex") else []
-    return {
-        "Participants and task": {
-            "height, mass, sex": ", ".join(body) or None,
-            "age, condition, criteria of inclusion": None,
-            "task, instructions, speed, footwear": session.get("protocol"),
-            "place, floor, ferromagnetic surroundings": session.get("place"),
-        },
-        "Sensors": _sensor_items(inputs),
-        "Orientation and alignment": _orientation(inputs, mode),
-        "Joint kinematics": _joints(inputs, mode),
-        "Quality": {
-            "missing data": gaps,
-            "uncertainty of the angles": confidence if bands else None,
-            "validation against a reference for this task and population": None,
-            "repeatability between trials, days and operators": None,
-            "software and version": inputs.get("software"),
-        },
-    }
-
-
-def _sensor_items(inputs: Mapping[str, Any]) -> Items:
     sensors = inputs.get("sensors") or []
     rates = sorted({f"{s['rate_hz']:.4g} Hz" for s in sensors if s.get("rate_hz")})
     largest = [s["largest_specific_force_m_s2"] for s in sensors if s.get("largest_specific_force_m_s2")]
     force = f"the largest specific force was {max(largest):.0f} m/s2; the range itself:" if largest else None
-    return {
-        "manufacturer, model, firmware; which of accelerometer, gyroscope, magnetometer": None,
-        "ranges, resolution, noise": force,
-        "sampling rate": ", ".join(rates) or None,
-        "number and placement": "; ".join(map(_place, sensors)) or "no sensors were used",
-        "how they were fixed (strap, tape, clothing), by whom": None,
-        "calibration of the sensors themselves (bias, scale), when": None,
-    }
-
-
-def _place(sensor: Mapping[str, Any]) -> str:
-    lever = sensor.get("lever_arm_m")
-    where = f" at ({', '.join(f'{1000 * v:.0f}' for v in lever)}) mm in its frame" if lever else ""
-    return f"{sensor.get('name', '')} on {sensor.get('segment') or 'segment not stated'}{where}"
-
-
-def _orientation(inputs: Mapping[str, Any], mode: str) -> Items:
     heading = aligned = delay = None
-    if inputs.get("sensors"):
+    if sensors:
         heading = "constant headings as given with the recording"
         aligned = "as given with the recording; its procedure:"
         delay = "one clock, as given with the recording; how it was made:"
@@ -196,24 +157,49 @@ def _orientation(inputs: Mapping[str, Any], mode: str) -> Items:
         heading = "estimated from the recording itself, see Calibration"
         aligned = "as given, corrected from the recording itself, see Calibration"
         delay = "delay between video and sensors estimated from the recording itself, see Calibration"
-    return {
-        "orientation filter, its settings, use of the magnetometer": None,
-        "heading reference and drift": heading,
-        "sensor to segment: static pose, functional movement, manual alignment": aligned,
-        "synchronisation, between sensors and with the camera": delay,
-        "estimation of the motion": _METHODS.get(mode),
-    }
-
-
-def _joints(inputs: Mapping[str, Any], mode: str) -> Items:
-    bones = (inputs.get("subject") or {}).get("bones", "bones not stated")
     hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges within their limits"
     return {
-        "body model": f"tree of rigid segments, {bones}{hinges}",
-        "segment frames": "x forward, y up, z right in the anatomical standing posture (the ISB's axes)",
-        "joint coordinate systems and sequences": "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood "
-        "and Suntay); shoulder Y-X-Y (Wu 2005) and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs "
-        "in angles.json",
-        "zero of the angles": "anatomical standing posture of the model; no static trial is subtracted",
-        "filters": "none on angles; velocities from angles low-passed at 6 Hz",
+        "Participants and task": {
+            "height, mass, sex": ", ".join(body) or None,
+            "age, condition, criteria of inclusion": None,
+            "task, instructions, speed, footwear": session.get("protocol"),
+            "place, floor, ferromagnetic surroundings": session.get("place"),
+        },
+        "Sensors": {
+            "manufacturer, model, firmware; which of accelerometer, gyroscope, magnetometer": None,
+            "ranges, resolution, noise": force,
+            "sampling rate": ", ".join(rates) or None,
+            "number and placement": "; ".join(map(_place, sensors)) or "no sensors were used",
+            "how they were fixed (strap, tape, clothing), by whom": None,
+            "calibration of the sensors themselves (bias, scale), when": None,
+        },
+        "Orientation and alignment": {
+            "orientation filter, its settings, use of the magnetometer": None,
+            "heading reference and drift": heading,
+            "sensor to segment: static pose, functional movement, manual alignment": aligned,
+            "synchronisation, between sensors and with the camera": delay,
+            "estimation of the motion": _METHODS.get(mode),
+        },
+        "Joint kinematics": {
+            "body model": f"tree of rigid segments, {subject.get('bones', 'bones not stated')}{hinges}",
+            "segment frames": "x forward, y up, z right in the anatomical standing posture (the ISB's axes)",
+            "joint coordinate systems and sequences": "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood "
+            "and Suntay); shoulder Y-X-Y (Wu 2005) and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs "
+            "in angles.json",
+            "zero of the angles": "anatomical standing posture of the model; no static trial is subtracted",
+            "filters": "none on angles; velocities from angles low-passed at 6 Hz",
+        },
+        "Quality": {
+            "missing data": gaps,
+            "uncertainty of the angles": "95 % bands of the posterior, inflated on other subjects" if bands else None,
+            "validation against a reference for this task and population": None,
+            "repeatability between trials, days and operators": None,
+            "software and version": inputs.get("software"),
+        },
     }
+
+
+def _place(sensor: Mapping[str, Any]) -> str:
+    lever = sensor.get("lever_arm_m")
+    where = f" at ({', '.join(f'{1000 * v:.0f}' for v in lever)}) mm in its frame" if lever else ""
+    return f"{sensor.get('name', '')} on {sensor.get('segment') or 'segment not stated'}{where}"

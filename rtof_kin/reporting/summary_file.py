@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,9 +14,17 @@ from rtof_kin.reporting.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"
 SIGMAS: Final = ("relative_m", "world_m")
+_READ: Final = ("recording", "mode", "acknowledgement", "inputs", "settings", "audit", "mean_sigma_m")
 _NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s", "_s2")  # suffixes of fields that are numbers
 _COUNTS: Final = ("first_frame", "cameras")
-_LISTS: Final = ("lever_arm_m", "landmarks")
+_TABLES: Final = (
+    *("settings", "mean_sigma_m", "inputs", "session", "subject", "camera", "delay"),
+    *("calibration", "camera_estimate"),
+)
+_LISTS: Final = {"audit": dict, "sensors": dict, "rows": list, "columns": str, "landmarks": str}
+"""List -> kind of its elements; those of other lists are numbers."""
+_OWN: Final = ("audit", "session")  # tables that check themselves
+_ANY: Final = ("fragment", "frames", "threads")  # settings of any kind
 
 
 @dataclass(frozen=True)
@@ -51,60 +58,41 @@ def read_summary(path: str | Path) -> Summary:
     if not isinstance(data, dict):
         raise FileFormatError(path, "not the summary of a reconstruction")
     try:
-        texts = {name: data.get(name, "") for name in ("recording", "mode", "acknowledgement")}
-        for name, text in texts.items():
-            _check(name, text, str, "text")
-        inputs, audit, settings = data.get("inputs", {}), data.get("audit"), data.get("settings")
-        if settings is not None:
-            _check_table("settings", settings, {"fragment", "frames", "threads"})
-        _check_inputs(inputs)
-        session = Session.of(inputs.get("session") or {})
-        results = None
-        if audit is not None:
-            _check("audit", audit, list, "list")
-            results = tuple(AuditResult.from_plain(entry) for entry in audit)
-        sigmas = data.get("mean_sigma_m")
+        known = {name: data[name] for name in _READ if data.get(name) is not None}
+        for name, value in known.items():
+            _check(name, value)
+        inputs, audit, sigmas = known.get("inputs", {}), known.get("audit"), known.get("mean_sigma_m")
         if sigmas is not None:
-            _check_table("mean_sigma_m", sigmas)
             sigmas = tuple(math.nan if sigmas.get(n) is None else float(sigmas[n]) for n in SIGMAS)
+        return Summary(
+            **{name: known.get(name, "") for name in _READ[:3]},
+            session=Session.of(inputs.get("session") or {}),
+            inputs=inputs,
+            results=None if audit is None else tuple(map(AuditResult.from_plain, audit)),
+            settings=known.get("settings"),
+            mean_sigmas=sigmas,
+        )
     except (InvalidInputError, ValueError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
-    return Summary(**texts, session=session, inputs=inputs, results=results, settings=settings, mean_sigmas=sigmas)
 
 
-_TABLES = ("calibration", "camera_estimate")  #: Inputs with columns and rows
+def _check(name: str, value: Any) -> None:
+    """Raise unless a value, and what is in it, is of the kind that the name of its field says."""
+    field = name.rpartition(", ")[2]
+    number = field.endswith(_NUMBERS) or field in _COUNTS
+    kind: Any = dict if field in _TABLES else int | float if number else str | bool
+    parts = [value]
+    if field in _LISTS or field == "lever_arm_m":
+        _expect(name, value, list)
+        kind, parts = _LISTS.get(field, int | float), value
+    for part in parts:
+        _expect(name, part, kind)
+        for key, own in part.items() if kind is dict and field not in _OWN else ():
+            if own is not None and key not in _ANY:
+                _check(f"{name}, {key}", own)
 
 
-def _check_inputs(inputs: Any) -> None:
-    """Raise `InvalidInputError` if the structure is not that of `report.provenance`."""
-    _check_table("inputs", inputs, {"session", "subject", *_TABLES, "camera", "delay", "sensors"})
-    for name in ("session", "subject", "camera", "delay"):
-        _check_table(f"inputs, {name}", inputs.get(name) or {})
-    sensors = inputs.get("sensors") or []
-    _check("inputs, sensors", sensors, list, "list")
-    for sensor in sensors:
-        _check_table("inputs, sensors", sensor)
-    for found in _TABLES:
-        own = inputs.get(found) or {}
-        _check_table(f"inputs, {found}", own, {"columns", "rows"})
-        for name in ("columns", "rows"):
-            _check(f"inputs, {found}, {name}", own.get(name, []), list, "list")
-        for row in own.get("rows", []):
-            _check(f"inputs, {found}, rows", row, list, "list")
-
-
-def _check(name: str, value: Any, kind: type, what: str) -> None:
+def _expect(name: str, value: Any, kind: Any) -> None:
     if not isinstance(value, kind):
-        raise InvalidInputError(f"{name}: no {what}")
-
-
-def _check_table(name: str, table: Any, skipped: Collection[str] = ()) -> None:
-    """Raise unless a value is a table of numbers (by the suffixes of their names) and texts."""
-    _check(name, table, dict, "table")
-    for field, value in table.items():
-        if field in skipped or value is None:
-            continue
-        number = field.endswith(_NUMBERS) or field in _COUNTS
-        values = value if field in _LISTS and isinstance(value, list) else [value]
-        if not all(isinstance(part, int | float if number else str | bool) for part in values):
-            raise InvalidInputError(f"{name}, {field}: {str(value)[:40]!r} is not valid")
+        what = {dict: "no table", list: "no list"}.get(kind, f"{str(value)[:40]!r} is not valid")
+        raise InvalidInputError(f"{name}: {what}")

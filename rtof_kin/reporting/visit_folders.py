@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -181,8 +181,7 @@ def _trial(path: Path, visit: Path) -> Trial:
     with MotionReader(path) as reader:
         found = trial(visit.name if name == "." else name, reader)
         mode = reader.mode
-    view = _view(found, measurements_path(path.parent))
-    return Trial(**{**vars(found), "setup": _setup(summary, mode, view)})
+    return replace(found, setup=_setup(summary, mode, _view(found, measurements_path(path.parent))))
 
 
 def _setup(summary: Summary | None, mode: str, view: float) -> Setup:

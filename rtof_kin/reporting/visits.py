@@ -395,9 +395,8 @@ def _changes(found: FollowUp) -> list[Section]:
     out = []
     for visit in order:
         columns = ("measure", found.visits[found.baseline].name, found.visits[visit].name, "outcome", "why")
-        shown = [one for one in found.measures if one.changed(visit)]
-        shown.sort(key=lambda one: list(Outcome).index(one.outcome(visit)))
-        rest = [one for outcome in (Outcome.NOT_SHOWN, Outcome.NOT_TESTED) for one in found.of(outcome, visit)]
+        ordered = sorted(found.measures, key=lambda one: list(Outcome).index(one.outcome(visit)))
+        shown, rest = ([one for one in ordered if one.changed(visit) is changed] for changed in (True, False))
         tables = [
             Table(columns, [_change_cells(found, one, visit) for one in own], kind="differences reasons")
             for own in (shown, rest)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -11,8 +10,6 @@ from typing import Any, Final
 
 import tomlkit
 from tomlkit.items import Table
-
-from rtof_kin.core.errors import InvalidInputError
 
 _WIDTH: Final = 100  # Longest line with its comment; a longer comment stands above the line
 _LEGEND: Final = (
@@ -53,26 +50,19 @@ Tables = Mapping[str, "Field | Tables"]
 
 
 def recording_text(tables: Tables, title: str) -> str:
-    """Return the TOML text of tables of fields. `title`: first line of the file's comment.
-
-    Raises:
-        InvalidInputError: a value cannot be written in TOML.
-    """
+    """Return the TOML text of tables of fields. `title`: first line of the file's comment."""
     document = tomlkit.document()
     for line in (title, "", *_LEGEND):
         document.add(tomlkit.comment(line) if line else tomlkit.nl())
     document.add(tomlkit.nl())
     _fill(document, tables)
-    text = tomlkit.dumps(document)
-    if tomllib.loads(text) != plain(tables):
-        raise InvalidInputError(f"recording.toml: its values cannot be written in TOML: {plain(tables)}")
-    return text
+    return tomlkit.dumps(document)
 
 
 def _fill(table: Table | tomlkit.TOMLDocument, fields: Tables) -> None:
     for name, field in fields.items():
         if not isinstance(field, Field):
-            inner = tomlkit.table(is_super_table=bool(field) and not _own(field))
+            inner = tomlkit.table(is_super_table=not any(isinstance(one, Field) for one in field.values()))
             _fill(inner, field)
             table.add(name, inner)
             continue
@@ -85,16 +75,6 @@ def _fill(table: Table | tomlkit.TOMLDocument, fields: Tables) -> None:
             for line in textwrap.wrap(comment, _WIDTH - 2):
                 table.add(tomlkit.comment(line))
         table.add(name, item)
-
-
-def _own(fields: Tables) -> bool:
-    """Return whether a table has values of its own, not only tables."""
-    return any(isinstance(field, Field) for field in fields.values())
-
-
-def plain(tables: Tables) -> dict[str, Any]:
-    """Return the values alone."""
-    return {name: f.value if isinstance(f, Field) else plain(f) for name, f in tables.items()}
 
 
 def summaries(tables: Tables) -> Iterator[tuple[Origin, str]]:

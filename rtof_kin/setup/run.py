@@ -167,7 +167,8 @@ def reconstruct_folder(
         )
         mode, known = task.mode or source.usual_mode, task.calibration
         record = {
-            "options": {"mode": mode, "calibrate": task.calibrate} | settings_record(settings),
+            "options": {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
+            | {name: getattr(settings, name) for name in ("frames", "space", "guards", "lift_with_sensors")},
             "recording_sha256": source.digest(),
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
@@ -188,18 +189,6 @@ def reconstruct_folder(
             inputs=inputs,
             run=lambda: record | {"environment": environment()},
         )
-
-
-def settings_record(settings: ReconstructionSettings) -> dict[str, Any]:
-    """Return the choices that numbers depend on, for ``summary.json``."""
-    fragment = settings.fragment
-    return {
-        "frames": settings.frames,
-        "space": settings.space,
-        "paper": fragment is not None,
-        "guards": settings.guards,
-        "lift_with_sensors": settings.lift_with_sensors,
-    }
 
 
 def _write_page(folder: Path, analysis: AnalysisSettings, kept: Callable[[str], None]) -> None:

@@ -45,15 +45,6 @@ class Covariance:
 
 
 @dataclass(frozen=True)
-class Kinds:
-    """Numbers of each point's kind; (K,) each but `shares`."""
-
-    shares: Array  #: (K, C) of the variance of coloured errors by time constant
-    amplitude: Mapping[str, Array]  #: gain, hidden, far, speed, mood_sd
-    visibility: Mapping[str, Array]  #: base, hidden, far, log_error, outside, residual_sd
-
-
-@dataclass(frozen=True)
 class DetectorErrorTable:
     """Errors of a detector of K points; lengths in m, times in s, angles in rad."""
 
@@ -64,7 +55,9 @@ class DetectorErrorTable:
     mirror: Index  #: (K,) the same point of the other side
     limb: Index  #: (K,) 0 for head and hips, then right arm, left arm, right leg, left leg
     places: Places  #: Of the points in the body
-    kinds: Kinds  #: Numbers by kind of point
+    shares: Array  #: (K, C) of the variance of coloured errors by time constant
+    amplitude: Mapping[str, Array]  #: (K,) by kind of point: gain, hidden, far, speed, mood_sd
+    visibility: Mapping[str, Array]  #: (K,) by kind of point: base, hidden, far, log_error, outside, residual_sd
     constant: Covariance  #: For a whole recording
     coloured: Covariance  #: Of coloured errors; the first axis is that of `VIEWS`
     time_constants: Array  #: (C,) of coloured errors, s
@@ -91,7 +84,11 @@ def detector_error_table() -> DetectorErrorTable:
         [sides.index((stem, not side)) if (stem, not side) in sides else k for k, (stem, side) in enumerate(sides)]
     )
     limb = [_limb(group[g], bool(side)) for g, side in zip(kind, left, strict=True)]
-    coloured = data["coloured"]
+    coloured, rows = data["coloured"], [data["group"][group[g]] for g in kind]
+
+    def columns(section: str) -> dict[str, Array]:
+        return {name: np.array([float(row[section][name]) for row in rows]) for name in rows[0][section]}
+
     return DetectorErrorTable(
         layout=layout,
         group=group,
@@ -100,7 +97,9 @@ def detector_error_table() -> DetectorErrorTable:
         mirror=mirror,
         limb=np.array(limb),
         places=_places(data, points, left, group),
-        kinds=_kinds([data["group"][group[g]] for g in kind]),
+        shares=np.array([row["shares"] for row in rows], dtype=float),
+        amplitude=columns("amplitude"),
+        visibility=columns("visibility"),
         constant=_covariance(data["constant"], len(points)),
         coloured=_by_view(coloured, mirror),
         time_constants=np.array(coloured["time_constants"], dtype=float),
@@ -137,14 +136,6 @@ def _places(data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: 
         view_spread=float(data["view"]["spread"]),
         person_sd=np.array([data["group"][name]["person_sd_mm"] for name in group]) / 1e3,
     )
-
-
-def _kinds(rows: Sequence[Mapping[str, Any]]) -> Kinds:
-    def columns(section: str) -> dict[str, Array]:
-        return {name: np.array([float(row[section][name]) for row in rows]) for name in rows[0][section]}
-
-    shares = np.array([row["shares"] for row in rows], dtype=float)
-    return Kinds(shares, columns("amplitude"), columns("visibility"))
 
 
 def _covariance(section: Mapping[str, Any], K: int) -> Covariance:

@@ -263,7 +263,7 @@ def _coloured(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array
     along, across = np.cos(scene.azimuth), np.sin(scene.azimuth)
     weight = np.maximum(np.stack([along, -along, across, -across], axis=-1), 0)
     out = np.zeros((T, K, 2))
-    for memory, share in zip(table.time_constants * scene.rate_hz, table.kinds.shares.T, strict=True):
+    for memory, share in zip(table.time_constants * scene.rate_hz, table.shares.T, strict=True):
         shared = ornstein_uhlenbeck(rng, T, (V, r), memory) * weight[..., None]
         own = ornstein_uhlenbeck(rng, T, (V, K, 2), memory) * weight[..., None, None]
         together = np.einsum("tvr,vkir->tki", shared, factor, optimize=True)
@@ -273,7 +273,7 @@ def _coloured(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array
 
 def _amplitude(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array:
     """Return the factor (T, K) on coloured errors."""
-    numbers, kind, rate = table.numbers["amplitude"], table.kinds.amplitude, scene.rate_hz
+    numbers, kind, rate = table.numbers["amplitude"], table.amplitude, scene.rate_hz
     exponent = kind["hidden"] * scene.hidden + kind["far"] * scene.far + kind["speed"] * scene.speed
     mood = ornstein_uhlenbeck(rng, len(exponent), (_LIMBS,), numbers["mood_memory"] * rate)
     mood = smoothed(mood, numbers["mood_smoothing"] * rate)[:, table.limb] * kind["mood_sd"]
@@ -319,7 +319,7 @@ def _episodes(rng: Generator, per_minute: Array, rate_hz: float, numbers: Mappin
 
 def _visibility(rng: Generator, uv: Array, scene: _Scene, inside: Mask, table: DetectorErrorTable) -> Array:
     """Return what the detector reports of each point (T, K)."""
-    kind = table.kinds.visibility
+    kind = table.visibility
     memory = table.numbers["visibility"]["memory"] * scene.rate_hz
     T, K = inside.shape
     error = np.linalg.norm(uv - scene.lens.project(scene.p_point), axis=-1) / scene.px_per_m

@@ -122,6 +122,7 @@ class CameraBlock:
     R_world_camera: Array  #: (n, 3, 3) of the video's camera; NaN where a handheld one's is unknown
     detected: Array  #: (n, L, 3) points at depth 1 in camera axes; NaN where missing
     reprojected: Array  #: (n, J, 3) joints of the motion at depth 1 in camera axes; NaN where missing
+    video_times: Array  #: (n,) s of the video
 
 
 def video_camera(view: KeypointSequence) -> Camera:
@@ -136,9 +137,8 @@ def camera_block(view: KeypointSequence, p_world: Array) -> CameraBlock:
     R = np.broadcast_to(R_world_still, (len(view), 3, 3))
     if view.turning is not None:
         R = R_world_still @ view.turning.R_still_camera
-    return CameraBlock(
-        R, _at_depth_one(camera, view.in_video(frames)), _at_depth_one(camera, view.project(p_world, frames))
-    )
+    detected, joints = (_at_depth_one(camera, uv) for uv in (view.in_video(frames), view.project(p_world, frames)))
+    return CameraBlock(R, detected, joints, view.video_times)
 
 
 def _at_depth_one(camera: Camera, uv_px: Array) -> Array:

@@ -35,7 +35,7 @@ _WIDEST_BAND: Final = 30.0  # [deg] Half width of a band up to which it fits the
 _PER_CURVE: Final = 3  # Series of a curve: value, lower and upper limit of the 95 % band
 
 
-class AngleBlocks:
+class AngleBlocks(BlockCache[ClinicalAngles]):
     """Angles by name, computed for the whole motion or for parts of it.
 
     Of a hinge of the model the other two angles are constant, which shows only while it moves: of a motion in
@@ -47,37 +47,23 @@ class AngleBlocks:
     """
 
     def __init__(self, motion: MotionReader):
-        self._motion = motion
         table = angle_table(motion.skeleton.table)
         self.names = tuple(row.name for row in table.rows)
         self.labels = tuple(row.label for row in table.rows)
-        hinges = [3 * number for number, joint in enumerate(table.joints) if joint.hinge]
-        self._constant = [first + k for first in hinges for k in (1, 2)]
+        constant = [3 * number + k for number, joint in enumerate(table.joints) if joint.hinge for k in (1, 2)]
         self.in_parts = motion.times[-1] - motion.times[0] > WHOLE_S
-        size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
-        self._blocks = BlockCache(len(motion), self._compute, max(size, 1))
 
-    def part(self, frame: int, seconds: float = 0.0) -> ClinicalAngles | None:
-        """Return the angles of the part of the motion around a frame; None while they are computed.
-
-        Raises:
-            RtofError: the motion cannot be read.
-        """
-        found = self._blocks.at(frame, seconds)
-        return None if found is None else found[0]
-
-    def close(self) -> None:
-        """Stop computing."""
-        self._blocks.close()
-
-    def _compute(self, start: int, stop: int) -> ClinicalAngles:
-        margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
-        found = clinical_angles(self._motion.read(max(start - margin, 0), min(stop + margin, len(self._motion))))
-        if self.in_parts:
+        def compute(start: int, stop: int) -> ClinicalAngles:
+            if not self.in_parts:
+                return clinical_angles(motion.read(start, stop))
+            margin = int(_MARGIN_S * motion.rate_hz)
+            found = clinical_angles(motion.read(max(start - margin, 0), min(stop + margin, len(motion))))
             values = found.values.copy()
-            values[:, self._constant] = np.nan
-            found = replace(found, values=values)
-        return found
+            values[:, constant] = np.nan
+            return replace(found, values=values)
+
+        size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
+        super().__init__(len(motion), compute, max(size, 1))
 
 
 class Curves:
@@ -131,9 +117,10 @@ class Curves:
             series = [none] * (_PER_CURVE * len(COLOURS))
             self._plot.data = _data(np.array([time - WINDOW, time + WINDOW]), series, time, _EMPTY)
             return True
-        found = self._angles.part(frame, seconds)
-        if found is None:
+        part = self._angles.at(frame, seconds)
+        if part is None:
             return False
+        found = part[0]
         bands: list[Array] = []
         for name in self.chosen:
             column = None if name is None else self._angles.names.index(name)

@@ -131,7 +131,6 @@ class SceneBlock:
     second: BlockContent | None
     sensors: SensorBlock | None
     cameras: tuple[CameraBlock, ...]
-    video_times: tuple[Array, ...]  #: (n,) s of each camera's video
 
 
 class MotionScene:
@@ -275,7 +274,6 @@ class MotionScene:
         content = block_content(poses, skeleton, start, motion.confidence)
         truth = sensors = None
         cameras: list[CameraBlock] = []
-        video_times: list[Array] = []
         if self._measurements is not None:
             given = self._measurements.read(start, stop)
             if self.truth is not None and given.truth is not None:
@@ -283,9 +281,8 @@ class MotionScene:
             if self.sensors is not None:
                 sensors = self.sensors.place(poses, given)
             cameras = [camera_block(view, poses.p_world_joint) for view in given.views]
-            video_times = [view.video_times for view in given.views]
         second = self._of_second(poses.times, start)
-        return SceneBlock(content, truth, second, sensors, tuple(cameras), tuple(video_times))
+        return SceneBlock(content, truth, second, sensors, tuple(cameras))
 
     def _of_second(self, times: Array, start: int) -> BlockContent | None:
         """Return the second motion at the times of a block, not shown where it has no frame then."""

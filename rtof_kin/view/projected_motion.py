@@ -63,21 +63,23 @@ def virtual_view(motion: Motion) -> VirtualView:
     known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))
     if not known.any():
         raise InvalidInputError("overlay: no frame of the motion has a pose, so there is nothing to show")
-    points = p[known]
-    middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
     moved = np.zeros((len(p), 3))
-    if float(np.linalg.norm(points - middle, axis=-1).max()) > _STANDS:
-        root = p[:, 0] * (1.0, 1.0, 0.0)
-        moved = np.where(known[:, None], root, 0.0)
-        points = points - moved[known, None]
-        middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
+    middle, radius = _sphere(p[known])
+    if radius > _STANDS:
+        moved = np.where(known[:, None], p[:, 0] * (1.0, 1.0, 0.0), 0.0)
+        middle, radius = _sphere(p[known] - moved[known, None])
     ahead = R[known, :, 0].sum(axis=0) * (1.0, 1.0, 0.0)
     norm = float(np.linalg.norm(ahead))
     ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
-    radius = float(np.linalg.norm(points - middle, axis=-1).max())
     distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)  # from which all points are seen
     position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
     return VirtualView(Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE), motion.times, moved)
+
+
+def _sphere(points: Array) -> tuple[Array, float]:
+    """Return the middle (3,) of points (T, J, 3) and their largest distance from it, m."""
+    middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
+    return middle, float(np.linalg.norm(points - middle, axis=-1).max())
 
 
 @dataclass(frozen=True)

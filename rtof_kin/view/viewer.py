@@ -143,7 +143,7 @@ class MotionViewer:
         for number, video in self._videos.items():
             if video.problem is not None:
                 self.controls.tell(str(video.problem))
-            elif np.isfinite(at := block.video_times[number][i]):
+            elif np.isfinite(at := block.cameras[number].video_times[i]):
                 video.request(float(at))
 
     def _show_curves(self, time_shown: float, now: float) -> None:

@@ -198,14 +198,14 @@ def estimate_camera_motion(
         FileFormatError: the video cannot be read. RtofError: OpenCV is not installed.
         InvalidInputError: the camera is of another image size, or the background has nothing to follow.
     """
-    boxes, follower, times = _Boxes(people), None, list[float]()
+    boxes, follower, times = _boxes(people), None, list[float]()
     for frame in read_video(video):
         if progress is not None:
             progress("camera", frame.index + 1, max(frame.total, frame.index + 1))
         if times and frame.time - times[-1] < _FASTEST:
             continue
         follower = follower or _Follower(_camera_of(camera, frame))
-        follower.follow(frame.image, boxes.at(frame.time))
+        follower.follow(frame.image, boxes(frame.time))
         times.append(frame.time)
     assert follower is not None  # read_video raises where there is no frame
     own = follower.camera
@@ -237,26 +237,22 @@ def _camera_of(camera: Camera, frame: VideoFrame) -> Camera:
     return replace(camera, K=np.diag([size["width_px"] / width, size["height_px"] / height, 1.0]) @ camera.K, **size)
 
 
-class _Boxes:
-    """Boxes around people in the whole image, at any time."""
+def _boxes(people: Detections | KeypointSequence | None) -> Callable[[float], Array]:
+    """Return a function of the time, s: boxes (P, 4) left, top, right, bottom around people, px of the whole image, in
+    the nearest frame.
+    """
+    if people is None or people.times is None:
+        return lambda time: np.empty((0, 4))
+    times, uv = people.times, people.uv_px if isinstance(people, Detections) else people.uv_px[:, None]
+    low, high = np.where(np.isnan(uv), np.inf, uv).min(axis=2), np.where(np.isnan(uv), -np.inf, uv).max(axis=2)
+    margin = _MARGIN * np.maximum(high - low, 0.3 * (high - low).max(axis=-1, keepdims=True))
+    boxes = np.concatenate([low - margin, high + margin], axis=-1)  # (T, P, 4)
 
-    def __init__(self, people: Detections | KeypointSequence | None):
-        self._times: Array | None = None
-        if people is None or people.times is None:
-            return
-        uv = people.uv_px if isinstance(people, Detections) else people.uv_px[:, None]
-        self._times = people.times
-        low = np.where(np.isnan(uv), np.inf, uv).min(axis=2)
-        high = np.where(np.isnan(uv), -np.inf, uv).max(axis=2)
-        margin = _MARGIN * np.maximum(high - low, 0.3 * (high - low).max(axis=-1, keepdims=True))
-        self._boxes = np.concatenate([low - margin, high + margin], axis=-1)  # (T, P, 4)
+    def at(time: float) -> Array:
+        nearest = boxes[int(np.argmin(np.abs(times - time)))]
+        return np.asarray(nearest[np.isfinite(nearest).all(axis=1)])
 
-    def at(self, time: float) -> Array:
-        """Return boxes (P, 4) left, top, right, bottom, px, of the nearest frame."""
-        if self._times is None:
-            return np.empty((0, 4))
-        boxes = self._boxes[int(np.argmin(np.abs(self._times - time)))]
-        return np.asarray(boxes[np.isfinite(boxes).all(axis=1)])
+    return at
 
 
 def _outside(uv: Array, boxes: Array) -> Mask:

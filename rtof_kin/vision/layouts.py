@@ -51,15 +51,18 @@ class Layout:
     def __len__(self) -> int:
         return len(self.names)
 
-    def order(self, names: Sequence[str]) -> list[int] | None:
-        """Return the index of each of the K points among names, or None if one is missing.
-
-        Args:
-            names: in any order and spelling (``LBigToe``, ``left_big_toe``).
+    def found(self, names: Sequence[str]) -> tuple[int | None, ...]:
+        """Return the index of each of the K points among names in any order and spelling (``LBigToe``,
+        ``left_big_toe``); None for one that is missing.
         """
         given = [_canonical(name).lower() for name in names]
-        wanted = [_canonical(name).lower() for name in self.names]
-        return [given.index(name) for name in wanted] if set(wanted) <= set(given) else None
+        words = (_canonical(name).lower() for name in self.names)
+        return tuple(given.index(word) if word in given else None for word in words)
+
+    def order(self, names: Sequence[str]) -> list[int] | None:
+        """Return the same, or None if one is missing."""
+        found = [index for index in self.found(names) if index is not None]
+        return found if len(found) == len(self) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +84,7 @@ class DetectorTable:
         """Return the layout of which most points are named, and the index of each, None where it is not; names that it
         lacks are ignored. None and () where no layout has `FEWEST_NAMED` of its points among them.
         """
-        given = [_canonical(name).lower() for name in names]
-
-        def order(form: Layout) -> tuple[int | None, ...]:
-            words = (_canonical(name).lower() for name in form.names)
-            return tuple(given.index(word) if word in given else None for word in words)
-
-        found = [(form, order(form)) for name, form in self.layouts.items() if name not in OWN_LAYOUTS]
+        found = [(form, form.found(names)) for name, form in self.layouts.items() if name not in OWN_LAYOUTS]
         best = max(found, key=lambda pair: (sum(i is not None for i in pair[1]), -len(pair[0])))
         return best if sum(i is not None for i in best[1]) >= FEWEST_NAMED else (None, ())
 

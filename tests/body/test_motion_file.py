@@ -13,7 +13,7 @@ import planted
 import pytest
 from scene_support import walking
 
-from rtof_kin.body.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
+from rtof_kin.body.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, packed
 from rtof_kin.body.motion_file import ABOUT, MotionReader, MotionWriter, write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -157,24 +157,9 @@ def test_gaps_are_kept(tmp_path: Path, motion: Motion) -> None:
     assert not read.poses.valid[3].any()
 
 
-ARRAYS = (
-    "schema_version",
-    "times",
-    "q",
-    "valid",
-    "provenance",
-    "orientation_observed",
-    "direction_observed",
-    "names",
-    "dof_names",
-    "joint_offsets",
-    "first_frame",
-    "mode",
-    "skeleton",
+@pytest.mark.parametrize(
+    "name", ["schema_version", "times", "q", "provenance", "direction_observed", "names", "skeleton"]
 )
-
-
-@pytest.mark.parametrize("name", ARRAYS)
 def test_missing_array_is_named(path: Path, name: str) -> None:
     with pytest.raises(FileFormatError, match=f"'{name}' is missing"):
         Motion.load(changed(path, **{name: None}))
@@ -184,11 +169,8 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
     "name, value, message",
     [
         ("schema_version", np.array(99), "99 is newer than 2; update"),
-        ("schema_version", np.array("one"), "invalid literal"),
         ("q", np.zeros((12, 5)), r"q: expected shape \(12, 67\), got \(12, 5\)"),
-        ("q", np.full((12, 67), "x"), "'q' is missing"),
         ("q", np.ones((12, 67)), "frames 0 to 12: q: the root quaternion"),
-        ("q", np.full((12, 67), 1e30), "q: holds a number beyond"),
         ("times", np.zeros(12), "time does not increase"),
         ("valid", np.ones((12, 20), dtype=bool), r"valid: expected shape \(12, 21\)"),
         ("valid", np.ones((11, 21), dtype=bool), "arrays of different lengths"),
@@ -197,7 +179,6 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
         ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
         ("names", np.array(["Hips"] * 21), "Hips"),
         ("dof_names", np.array(["a"]), "dof_names: are not those"),
-        ("first_frame", np.arange(3), ""),
         ("mode", np.array({"code": print}, dtype=object), "mode: has type object"),
     ],
 )
@@ -291,22 +272,6 @@ def test_rounded_covariances_stay_valid_and_are_rounded_once() -> None:
     Confidence(np.arange(5000.0), ("a",), back, back, ((WORLD, "a"),), back)  # raises if one is not
     np.testing.assert_allclose(per_axis(back[:, 0]), per_axis(matrices), rtol=0.006)
     np.testing.assert_array_equal(packed(once.astype(float)), once)
-
-
-@pytest.mark.parametrize("frames", [1, 2, SPACING, SPACING + 1, 100])
-@pytest.mark.parametrize("size", [1, 7, SPACING, 100])
-def test_nodes_do_not_depend_on_blocks(frames: int, size: int) -> None:
-    rng = np.random.default_rng(frames)
-    entries = np.exp(np.cumsum(0.1 * rng.normal(size=(frames, 3, 6)), axis=0))
-    entries[rng.random((frames, 3)) < 0.01] = np.nan
-    finder, found = NodeFinder(), []
-    for start in range(0, frames, size):
-        at, values = finder.add(entries[start : start + size])
-        np.testing.assert_array_equal(values, entries[at])
-        found += at.tolist()
-    found += finder.end()[0].tolist()
-    assert found == nodes(entries).tolist()
-    assert (found[0], found[-1]) == (0, frames - 1)
 
 
 @pytest.mark.parametrize("size", BLOCKS)

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
-import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -26,15 +22,6 @@ MODELS = Path(__file__).parents[2] / "models"
 NAMES = ("skeleton", "human36m")
 TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in NAMES}
 every_table = pytest.mark.parametrize("table", TABLES.values(), ids=NAMES)
-
-
-def build_urdf() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("build_urdf", MODELS / "build_urdf.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def floats(text: str) -> Array:
@@ -62,27 +49,6 @@ def links(urdf: str) -> dict[str, ET.Element]:
 @pytest.mark.parametrize("name", NAMES)
 def test_committed_urdf_equals_that_of_the_table(name: str) -> None:
     assert (MODELS / f"{name}.urdf").read_bytes() == to_urdf(TABLES[name]).encode()
-
-
-def test_build_script_reports_a_stale_file_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in NAMES:
-        shutil.copy(MODELS / f"{name}.toml", tmp_path)
-        shutil.copy(MODELS / f"{name}.urdf", tmp_path)
-    main: Callable[..., int] = build_urdf().main
-    assert main(["--check"], tmp_path) == 0
-    table = tmp_path / "skeleton.toml"
-    table.write_text(table.read_text().replace("mass_kg = 75.0", "mass_kg = 76.0"))
-    (tmp_path / "human36m.urdf").unlink()
-    before = (tmp_path / "skeleton.urdf").read_bytes()
-    capsys.readouterr()
-    assert main(["--check"], tmp_path) == 1
-    said = capsys.readouterr().out
-    assert "skeleton.urdf: differs from skeleton.toml; run python models/build_urdf.py" in said
-    assert "human36m.urdf: differs from human36m.toml" in said
-    assert (tmp_path / "skeleton.urdf").read_bytes() == before
-    assert main([], tmp_path) == 0
-    assert main(["--check"], tmp_path) == 0
-    assert (tmp_path / "skeleton.urdf").read_text() == to_urdf(read_skeleton_table(table))
 
 
 # --- the tree -----------------------------------------------------------------------------------------

@@ -48,6 +48,9 @@ def test_verdict_depends_on_the_known_share(known: float, verdict: Verdict) -> N
 
 def test_unobserved_quantities_are_not_applied() -> None:
     before = recording()
+    doubted = replace(quantity("delay", "video", -0.112), doubt="the search ends at its border")
+    np.testing.assert_array_equal(applied(doubted).keypoints.times, before.keypoints.times)
+    np.testing.assert_array_equal(applied(doubted).imus.times, before.imus.times)
     after = applied(
         quantity("delay", "video", 0.01, known=0.0),
         quantity("image bias", "Head", 3.0, 4.0, known=0.0),
@@ -74,13 +77,6 @@ def test_another_delay_shifts_the_sensors_to_where_a_usual_detector_would_be() -
     np.testing.assert_allclose(after.imus.times, 0.1 + (sensed - 0.1 - 0.172) / 0.99 - 0.028, atol=1e-9)
 
 
-def test_a_delay_in_doubt_is_not_applied() -> None:
-    doubted = replace(quantity("delay", "video", -0.112), doubt="the search ends at its border")
-    before, after = recording(), applied(doubted)
-    np.testing.assert_array_equal(after.keypoints.times, before.keypoints.times)
-    np.testing.assert_array_equal(after.imus.times, before.imus.times)
-
-
 def test_a_delay_is_added_to_that_of_the_clocks_unless_it_is_in_doubt() -> None:
     clocks = SelfCalibration((quantity("delay", "video", -0.2, 0.01),), middle=1.0)
     small = quantity("delay", "video", 0.004)
@@ -91,30 +87,23 @@ def test_a_delay_is_added_to_that_of_the_clocks_unless_it_is_in_doubt() -> None:
     assert not doubted["delay", "video"].doubt
 
 
-def test_bias_is_subtracted_from_its_landmark() -> None:
-    before, after = recording().keypoints, applied(quantity("image bias", "Head", 3.0, -4.0)).keypoints
-    moved = before.uv_px - after.uv_px
-    head = before.names.index("Head")
+def test_biases_mountings_headings_and_bones_are_corrected() -> None:
+    turn, one = np.array([0.1, -0.05, 0.02]), recording()
+    after = applied(
+        quantity("image bias", "Head", 3.0, -4.0),
+        quantity("mounting", "LeftArm", *turn),
+        quantity("heading", "RightLeg", 0.2),
+        quantity("bones", "thighs", 0.1),
+    )
+    moved, head = one.video.uv_px - after.video.uv_px, one.video.names.index("Head")
     np.testing.assert_allclose(moved[:, head], np.tile([3.0, -4.0], (20, 1)))
     assert not np.delete(moved, head, axis=1).any()
-
-
-def test_a_mounting_and_a_heading_turn_the_segment() -> None:
-    turn = np.array([0.1, -0.05, 0.02])
-    before = recording().bone_imus()
-    after = applied(quantity("mounting", "LeftArm", *turn), quantity("heading", "RightLeg", 0.2)).bone_imus()
-    arm, leg = before.joints.index("LeftArm"), before.joints.index("RightLeg")
-    expected = before.R_world_bone[:, arm] @ so3.exp(turn)
-    np.testing.assert_allclose(after.R_world_bone[:, arm], expected, atol=1e-9)
-    expected = so3.about_axis("z", 0.2) @ before.R_world_bone[:, leg]
-    np.testing.assert_allclose(after.R_world_bone[:, leg], expected, atol=1e-9)
-
-
-def test_bones_of_a_group_are_scaled() -> None:
-    before, after = recording(), applied(quantity("bones", "thighs", 0.1))
-    ratio = after.skeleton.bone_lengths["LeftLeg"] / before.skeleton.bone_lengths["LeftLeg"]
-    assert ratio == pytest.approx(1.1)
-    assert after.skeleton.bone_lengths["Neck"] == pytest.approx(before.skeleton.bone_lengths["Neck"])
+    R, R_after, joints = one.bone_imus().R_world_bone, after.bone_imus().R_world_bone, one.bone_imus().joints
+    arm, leg = joints.index("LeftArm"), joints.index("RightLeg")
+    np.testing.assert_allclose(R_after[:, arm], R[:, arm] @ so3.exp(turn), atol=1e-9)
+    np.testing.assert_allclose(R_after[:, leg], so3.about_axis("z", 0.2) @ R[:, leg], atol=1e-9)
+    ratios = {name: after.skeleton.bone_lengths[name] / one.skeleton.bone_lengths[name] for name in ("LeftLeg", "Neck")}
+    assert ratios == {"LeftLeg": pytest.approx(1.1), "Neck": pytest.approx(1.0)}
 
 
 def test_only_the_body_applies_to_another_recording() -> None:

@@ -72,31 +72,11 @@ def test_an_exported_mot_differs_by_nothing(cli: Any, outputs: Path) -> None:
     )
 
 
-def test_a_reconstruction_is_identical_to_itself(cli: Any, reconstructed: Path) -> None:
-    done = cli.ok("compare", reconstructed, reconstructed / "motion.h5")
-    assert done.out.startswith("A and B have the same values")
-    assert "None of" in done.out
-
-
 def test_sides_of_one_motion(cli: Any, outputs: Path) -> None:
     done = cli("compare", outputs / "after", "--sides", "--angles", "knee_flexion")
     assert "they share errors" not in done.out
     assert done.code == 0, done.err
     done.says("A is left, B is right", "knee flexion", "changed")
-
-
-def test_align_states_the_shift(cli: Any, outputs: Path) -> None:
-    motion = bent(1.0)
-    times = motion.poses.times + 2.5
-    assert motion.confidence is not None
-    later = replace(
-        motion, poses=replace(motion.poses, times=times), confidence=replace(motion.confidence, times=times)
-    )
-    folder_of(later, outputs / "late", recording="first")
-    done = cli.ok("compare", outputs / "before", outputs / "late", "--align", "--angles", "right_knee_flexion")
-    assert "with B shifted by -2.500 s" in done.out
-    given = cli("compare", outputs / "before", outputs / "late", "--shift", "-2.5", "--angles", "right_hip_flexion")
-    assert "with B shifted by -2.500 s" in given.out
 
 
 @pytest.mark.parametrize(
@@ -149,13 +129,6 @@ def test_folders_of_three_visits_are_compared_as_one_that_has_them(cli: Any, tmp
 def test_another_baseline_turns_the_change(cli: Any, visits: Path) -> None:
     done = cli.ok("compare", visits, "--measures", "gait_speed", "--baseline", "2026-02-14")
     assert "gait speed worse (-0.4" in done.out
-
-
-def test_existing_output_of_visits_is_replaced_only_on_request(cli: Any, visits: Path, tmp_path: Path) -> None:
-    arguments = ("compare", visits, "--measures", "gait_speed", "-o", tmp_path / "twice")
-    assert cli(*arguments).code == 0
-    assert cli(*arguments).code == 2
-    assert cli(*arguments, "--overwrite").code == 0
 
 
 @pytest.mark.parametrize(

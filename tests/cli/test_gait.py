@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from clinical_support import posture, squatting, walk, walking
-from gait_support import means_only
+from clinical_support import posture, squatting, walking
 from report_support import folder_of
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.formats.gait_reference import write_gait_reference
 
 TERMS = ("--licence", "CC0-1.0", "--origin", "planted walking")
 
@@ -65,36 +62,6 @@ def test_scores_of_a_person_of_the_reference(cli: Any, healthy: Path, reference:
     assert rows["gps", "left"] ** 2 == pytest.approx(np.mean(squares), rel=1e-4)
 
 
-def test_a_motion_that_is_no_gait_has_one_sentence_and_no_score(
-    cli: Any, healthy: Path, reference: Path, tmp_path: Path
-) -> None:
-    done = cli.ok("report", healthy / "squats", "--gait-reference", reference, "--analysis", tmp_path / "out")
-    assert "No gait scores: " in done.out
-    data = json.loads((tmp_path / "out" / "gait_scores" / "gait_scores.json").read_text())
-    assert data["scores"] == []
-    assert not data["is_gait"]
-    assert not (tmp_path / "out" / "gait_scores" / "gait_scores.png").exists()
-
-
-def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Path) -> None:
-    write_gait_reference(tmp_path / "other.json", means_only(system="Plug-in Gait", zero="static trial"))
-    motion = walk()
-    level = np.array(motion.poses.orientation_observed)
-    feet = [motion.skeleton.names.index(name) for name in ("RightFoot", "LeftFoot")]
-    level[..., feet] = False
-    blind = replace(motion, poses=replace(motion.poses, orientation_observed=level))
-    folder_of(blind, tmp_path / "motion")
-    out, reference = tmp_path / "out", tmp_path / "other.json"
-    done = cli.ok("report", tmp_path / "motion", "--gait-reference", reference, "--analysis", out)
-    done.says(
-        "The reference is of another system (Plug-in Gait; zero: static trial)",
-        "GPS not computed",
-        "right foot progression",
-        "needs a sensor on the foot",
-        "GDI not computed",
-    )
-
-
 def test_a_table_needs_what_recordings_have_by_themselves(cli: Any, healthy: Path, tmp_path: Path) -> None:
     lines = ["variable,percent,mean,sd"]
     lines += [f"knee_flexion,{percent},{20 + percent / 10},3" for percent in range(0, 101, 2)]
@@ -108,16 +75,12 @@ def test_a_table_needs_what_recordings_have_by_themselves(cli: Any, healthy: Pat
     assert cli("gait-reference", healthy, "-o", tmp_path / "r.json", *TERMS, "--people", 3).code == 2
 
 
-@pytest.mark.parametrize("wrong", ["none", "empty"])
-def test_a_folder_without_motions_is_refused(cli: Any, tmp_path: Path, wrong: str) -> None:
+@pytest.mark.parametrize("wrong, named", [("none", "none"), ("empty", "empty"), ("standing", "0 of 0 people")])
+def test_a_folder_without_walking_is_refused(cli: Any, tmp_path: Path, wrong: str, named: str) -> None:
     (tmp_path / "empty").mkdir()
-    assert wrong in cli.refused("gait-reference", tmp_path / wrong, "-o", tmp_path / "r.json", *TERMS).err
-
-
-def test_standing_alone_is_no_reference(cli: Any, tmp_path: Path) -> None:
     skeleton = SkeletonModel.default()
-    folder_of(skeleton.motion(posture(skeleton, 120)), tmp_path / "in" / "standing")
-    assert "0 of 0 people" in cli.refused("gait-reference", tmp_path / "in", "-o", tmp_path / "r.json", *TERMS).err
+    folder_of(skeleton.motion(posture(skeleton, 120)), tmp_path / "standing" / "one")
+    assert named in cli.refused("gait-reference", tmp_path / wrong, "-o", tmp_path / "r.json", *TERMS).err
 
 
 def test_compare_writes_spm(cli: Any, healthy: Path, tmp_path: Path) -> None:

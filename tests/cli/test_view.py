@@ -30,18 +30,18 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def process_of(*arguments: object) -> subprocess.Popen[str]:
+    """The command in a process of its own."""
+    command = [sys.executable, "-m", "rtof_kin.cli", "view", *map(str, arguments), "--no-browser"]
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, text=True, env=ENVIRONMENT, cwd=ROOT, **pipes)
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="Linux's processor times")
 def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     started = time.monotonic()
     used = [0.0]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rtof_kin.cli", "view", str(out), "--no-browser"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=ENVIRONMENT,
-        cwd=ROOT,
-    )
+    process = process_of(out)
     assert process.stdout is not None
     lines: list[str] = []
     try:

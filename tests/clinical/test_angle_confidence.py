@@ -21,6 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.data.confidence import WORLD, Confidence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reporting.analysis import angles_over_time
 
 Array = NDArray[np.float64]
@@ -54,17 +55,8 @@ def test_sigmas_equal_the_spread_of_perturbed_rotations(parent: str, child: str)
     errors = np.random.default_rng(1).normal(size=(draws, 3)) @ root.T
     c = BODY.names.index(child)
     R[:, c] = R[:, c] @ so3.exp(errors)
-    many = replace(
-        poses,
-        times=np.arange(draws) / 60,
-        p_world_joint=np.repeat(poses.p_world_joint, draws, axis=0),
-        R_world_bone=R,
-        provenance=None,
-        valid=None,
-        orientation_observed=np.ones(21, dtype=bool),
-        direction_observed=None,
-        sigma_rad=None,
-    )
+    p = np.repeat(poses.p_world_joint, draws, axis=0)
+    many = all_observed(PoseSequence(np.arange(draws) / 60, p, R, BODY.names))
     scattered = clinical_angles(many, BODY)
     assert expected.sigma is not None
     rows = [i for i, pair in enumerate(PAIRS) if pair == (parent, child)]

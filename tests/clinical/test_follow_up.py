@@ -303,7 +303,7 @@ def planted(trials: Sequence[int], change: float, band: float, person: float, sh
 
 
 def error_of_change(a: Measured, b: Measured, *others: Measured) -> MixedError:
-    return measurement_errors([a, *others, b]).of_change(a, b)
+    return measurement_errors([a, *others, b]).of_means(a, b)
 
 
 def p_of(visits: Sequence[Measured]) -> float:

@@ -126,7 +126,6 @@ def test_walking_has_a_mean_force_of_one_body_weight_and_ankle_push_off() -> Non
 @pytest.mark.parametrize(
     ("weight", "options", "message"),
     [
-        (None, {}, "no weight"),
         (-70.0, {}, "kilograms"),
         (70_000.0, {}, "kilograms"),
         (float("nan"), {}, "kilograms"),
@@ -135,7 +134,7 @@ def test_walking_has_a_mean_force_of_one_body_weight_and_ankle_push_off() -> Non
         (70.0, {"support": np.zeros(3, dtype=int)}, "support: expected shape"),
     ],
 )
-def test_implausible_input_is_rejected(weight: float | None, options: dict[str, Any], message: str) -> None:
+def test_implausible_input_is_rejected(weight: float, options: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         joint_torques(static(), weight, **options)
 

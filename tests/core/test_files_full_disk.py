@@ -23,7 +23,7 @@ from rtof_kin.formats.joint_trajectory import write_ros_trajectory
 from rtof_kin.formats.markers import write_c3d
 from rtof_kin.formats.motion_files import write_joint_trajectory_csv, write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
-from rtof_kin.reporting.figures import save_figures
+from rtof_kin.reporting import document
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import write_detections
 
@@ -44,7 +44,9 @@ WRITERS: dict[str, Callable[[Path, Motion], object]] = {
     "trajectory.csv": write_joint_trajectory_csv,
     "ros_joint_trajectory.json": lambda path, motion: write_ros_trajectory(path.parent, motion),
     "keypoints.npz": lambda path, motion: write_detections(path, DETECTIONS, overwrite=True),
-    "skeletons.png": lambda path, motion: save_figures({"skeletons": Figure()}, path.parent),
+    "skeletons.png": lambda path, motion: document.write_figures(
+        [document.Figure("skeletons", "", Figure)], path.parent
+    ),
     "x.curves.json": lambda path, motion: write_curves(path.parent / "x", {"seed": "x" * ROOM}, []),
     "lifter.pt": lambda path, motion: save_tensors({"weights": torch.rand(ROOM)}, path, overwrite=True),
 }

@@ -129,7 +129,7 @@ def test_sliding_bone_moves_its_joint_in_its_parent(read):
     ("old", "new", "line", "says"),
     [
         ("1\nroot 0", "root 0", 3, "expected a frame number"),
-        ("thigh 40 50", "thigh 40 inf", 9, "thigh: expected 2 number(s)"),
+        ("thigh 40 50", "thigh 40 inf", 9, "expected 2 numbers of thigh"),
         ("shank 0\n", "", 6, "frame 1 ends without shank"),
         (AMC, ":FULLY-SPECIFIED\n:DEGREES\n", 2, "no frames"),
     ],

@@ -129,7 +129,7 @@ def test_real_triangulated_markers_project_onto_their_detections(tmp_path: Path)
     [
         ("PathFileType", "FilePathType", 1, "PathFileType"),
         ("50\t50\t2", "50\t50\tmany", 3, "NumFrames is 'many'"),
-        ("\t4\t5\t6", "\t4\t5", 8, "7 cells where there are 8 columns"),
+        ("\t4\t5\t6", "\t4\t5", 8, "expected 7 cells of time and markers"),
         ("\t50\t2\t2\t", "\t50\t3\t2\t", 8, "3 frames and 2 follow"),
     ],
 )

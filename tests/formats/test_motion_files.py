@@ -20,19 +20,12 @@ from opensim_support import read_by_opensim
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.markers import read_c3d
-from rtof_kin.formats.motion_files import (
-    DEFAULT,
-    FORMATS,
-    motion_columns,
-    write_motion_csv,
-    write_motion_files,
-    write_motion_parquet,
-)
+from rtof_kin.formats.motion_files import DEFAULT, FORMATS, motion_columns, write_motion_files
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]
@@ -338,16 +331,6 @@ def test_columns_have_different_names_and_a_row_per_frame(motion: Motion) -> Non
     assert {column.unit for column in columns} == {"s", "m", "1", "rad", ""}
     hip = columns[names.index("RightUpLeg_y")]
     assert hip.also == {"clinical": "-right hip flexion", "opensim": "-hip_flexion_r"}
-
-
-@pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])
-def test_existing_table_is_not_overwritten(write: object, motion: Motion, tmp_path: Path) -> None:
-    assert callable(write)
-    path = tmp_path / "motion.table"
-    write(path, motion)
-    with pytest.raises(OutputExistsError, match=r"motion\.table"):
-        write(path, motion)
-    write(path, motion[:2], overwrite=True)
 
 
 def test_npz_has_the_arrays_of_the_result_and_is_read_as_a_motion(motion: Motion, folder: Path) -> None:

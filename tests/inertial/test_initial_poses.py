@@ -93,12 +93,11 @@ def test_sensors_without_data_or_segment_are_refused() -> None:
 
 
 Array = NDArray[np.float64]
-SKELETON = SkeletonModel.default()
 
 
 @pytest.fixture(scope="module")
 def truth() -> Motion:
-    return planted.moving(SKELETON, 12)
+    return planted.moving(BODY, 12)
 
 
 def moved(poses: PoseSequence, by: Array) -> PoseSequence:
@@ -129,7 +128,7 @@ def test_the_minimum_equals_scipys_with_cauchy_loss(truth: Motion) -> None:
 
 
 def test_noise_does_not_bias_the_depth() -> None:
-    truth = planted.moving(SKELETON, 400).poses
+    truth = planted.moving(BODY, 400).poses
     seen = planted.keypoints(truth, sigma_px=10.0)
     shift = (refit_root(truth, seen, sigma_depth=100.0, iterations=6).p_world_joint - truth.p_world_joint)[:, 0]
     # 80 mm per frame, so 4 mm in the mean of 400; linear equations are biased by 50 mm.

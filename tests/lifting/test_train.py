@@ -185,16 +185,8 @@ def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> N
         TrainConfig(**settings)
 
 
-QUICK_PRIOR = TrainConfig(
-    windows=32,
-    batch=16,
-    channels=8,
-    skeletons=0,
-    report_every=1,
-    validations=1,
-    validation_windows=8,
-    bfloat16=False,
-    augment=plain(),
+QUICK_PRIOR = replace(
+    QUICK, windows=32, batch=16, channels=8, skeletons=0, validations=1, validation_windows=8, augment=plain()
 )
 BODY = SkeletonModel.default()
 CORPUS = support.tiny_corpus(frames=60)

@@ -29,7 +29,7 @@ from rtof_kin.reconstruction import pipeline
 from rtof_kin.reconstruction.camera_evidence import Scene, check_walk, standing_feet
 from rtof_kin.reconstruction.checks import explained
 from rtof_kin.reconstruction.checks.camera import check_bones, check_camera_alone
-from rtof_kin.reconstruction.checks.image import check_image, exchanged_sides
+from rtof_kin.reconstruction.checks.image import ImageExcerpt, exchanged_sides
 from rtof_kin.reconstruction.checks.sensors import SETUP
 from rtof_kin.reconstruction.lift import shipped_lifter
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -136,7 +136,7 @@ def test_image_in_which_the_lifter_sees_no_person_is_unknown() -> None:
         def predict(self, *_: object, **__: object) -> object:
             raise InvalidInputError("no person is visible")
 
-    picture = check_image(demo(), demo().skeleton, Blind(planted.human(SkeletonModel.default(), 40)))
+    picture = ImageExcerpt.of(demo(), demo().skeleton, Blind(planted.human(SkeletonModel.default(), 40)))
     assert picture.lifted is None
     assert all(check.verdict is Verdict.NOT_POSSIBLE for check in picture.checks)
 

@@ -227,9 +227,10 @@ def test_gaps_are_left_open_and_described(tmp_path: Path) -> None:
     [
         ({"recording": 7}, "recording"),
         ({"inputs": []}, "inputs: no table; reconstruct again"),
-        ({"inputs": {"sensors": {}, "subject": "me"}}, "inputs, subject: no table"),
+        ({"inputs": {"sensors": {}}}, "inputs, sensors: no list"),
+        ({"inputs": {"subject": "me"}}, "inputs, subject: no table"),
         ({"inputs": {"sensors": [{"rate_hz": "fast"}]}}, "inputs, sensors, rate_hz: 'fast'"),
-        ({"inputs": {"session": {"subject": ["a"]}}}, "inputs, session, subject: \"['a']\""),
+        ({"inputs": {"session": {"subject": ["a"]}}}, "session subject: \"['a']\" is not text"),
         ({"inputs": {"session": {"date": "soon"}}}, "session date: 'soon'"),
         ({"inputs": {"sensors": [{"lever_arm_m": ["far"]}]}}, "inputs, sensors, lever_arm_m: "),
         ({"inputs": {"calibration": {"rows": [3]}}}, "inputs, calibration, rows: no list"),

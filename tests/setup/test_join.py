@@ -68,7 +68,7 @@ def test_an_uncalibrated_camera_is_found_and_its_place_is_told(monkeypatch: pyte
         asked.append(around)
         view = replace(seen, times=seen.times - LATER)
         sigmas = np.full(3, 0.1), np.full(3, np.radians(2.0)), np.full(2, 0.05)
-        return SecondCamera(first.video.camera, view, -LATER, 0.004, *sigmas, 0.01, "look at it")
+        return SecondCamera(first.video.camera, view, -LATER, 0.004, *sigmas, "look at it")
 
     monkeypatch.setattr(join, "find_second_camera", find)
     unsure = replace(FIRST, keypoints=replace(FIRST.video, camera=replace(FIRST.video.camera, uncertainty=UNSURE)))

@@ -48,8 +48,13 @@ class Take:
         self.map = folder / "map.csv"
         self.map.write_text("".join(f"{name}, {joint}\n" for name, joint in self.segments.items()))
 
-    def set_up(self, log: SensorLog, sensor_map: Path | None) -> SetupSensors:
-        return set_up_sensors(log, sensor_map, self.poses, self.keypoints, self.recording.skeleton)
+    def set_up(self, log: SensorLog, sensor_map: Path | None, start_utc: datetime | None = None) -> SetupSensors:
+        return set_up_sensors(log, sensor_map, self.poses, self.keypoints, self.recording.skeleton, start_utc)
+
+    def days_before(self, days: int) -> tuple[SensorLog, Path, datetime]:
+        """Arguments of `set_up` where the files state other days."""
+        start = datetime(2024, 1, 31, 12, tzinfo=UTC)
+        return replace(self.log, start_utc=start - timedelta(days=days)), self.map, start
 
 
 @pytest.fixture(scope="module")
@@ -105,14 +110,11 @@ def test_unnamed_sensors_are_placed_by_motion_or_left_out_and_named(take: Take) 
         assert any(name in doubt and "--map FILE" in doubt for doubt in found.doubts)
 
 
-def test_a_sensor_that_does_not_move_is_left_out_and_named(take: Take) -> None:
+def test_sensors_that_do_not_move_are_left_out_and_named_or_refused(take: Take) -> None:
     first = take.log.names[0]
     found = take.set_up(still(take.log, first), take.map)
     assert first not in found.imus.names
     assert found.doubts[0] == (f"{first}: does not move and is left out; check that it was on the person and recording")
-
-
-def test_sensors_that_do_not_move_are_refused(take: Take) -> None:
     with pytest.raises(InvalidInputError, match="none of its 8 sensors moves; give the file of the sensors"):
         take.set_up(still(take.log, *take.log.names), take.map)
 
@@ -134,18 +136,14 @@ def test_sensors_of_another_take_or_day_stop_the_setup(
 ) -> None:
     clock = ClockEstimate(-3.0, 0.0, 0.01, 50.0, doubt, explained=explained)
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: clock)
-    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
-    log = replace(take.log, start_utc=start - timedelta(days=days))
     with pytest.raises(InvalidInputError, match="do not move as the video shows") as error:
-        set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+        take.set_up(*take.days_before(days))
     assert ("1100 days apart" in str(error.value)) == bool(days)
 
 
 def test_sensors_that_fit_but_state_another_day_are_doubted_first(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: ClockEstimate(-3.0, 0.0, 0.01, 50.0))
-    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
-    log = replace(take.log, start_utc=start - timedelta(days=9))
-    found = set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+    found = take.set_up(*take.days_before(9))
     assert found.doubts[0] == (
         "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, 9 days apart"
     )
@@ -194,7 +192,6 @@ def test_the_clock_is_searched_first_where_the_files_say_that_they_began(
     monkeypatch.setattr(sensors, "find_clock", find)
     start = datetime(2026, 1, 31, 12, tzinfo=UTC)
     log = take.log if begun is None else replace(take.log, start_utc=start + timedelta(seconds=begun))
-    skeleton = take.recording.skeleton
-    found = set_up_sensors(log, take.map, take.poses, take.keypoints, skeleton, start)
+    found = take.set_up(log, take.map, start)
     assert asked == searched
     assert not any(doubt and doubt in sentence for sentence in found.doubts)

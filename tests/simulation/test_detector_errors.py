@@ -125,7 +125,7 @@ def coloured() -> Array:
 @pytest.mark.parametrize("name", ["left_hip", "nose", "right_shoulder"])
 def test_coloured_errors_have_the_size_of_the_table(coloured: Array, name: str) -> None:
     k = point(name)
-    size = np.sqrt(np.diag(dense(TABLE.coloured, 0)).reshape(33, 2)[k]) * TABLE.kinds.amplitude["gain"][k]
+    size = np.sqrt(np.diag(dense(TABLE.coloured, 0)).reshape(33, 2)[k]) * TABLE.amplitude["gain"][k]
     np.testing.assert_allclose(np.sqrt((coloured[:, :, k] ** 2).mean(axis=(0, 1))), size, rtol=0.2)
 
 
@@ -140,7 +140,7 @@ def windowed(lag: float) -> Array:
 @pytest.mark.parametrize("group", ["face", "hip", "wrist"])
 def test_coloured_errors_have_the_correlation_times_of_the_table(coloured: Array, group: str) -> None:
     k = np.flatnonzero(TABLE.kind == TABLE.group.index(group))
-    shares, mood_sd = TABLE.kinds.shares[k[0]], TABLE.kinds.amplitude["mood_sd"][k[0]]
+    shares, mood_sd = TABLE.shares[k[0]], TABLE.amplitude["mood_sd"][k[0]]
     for lag in (0.1, 0.5, 2.0):
         steps, slow = round(lag * 60), TABLE.time_constants > 0
         x = coloured[:, :, k]

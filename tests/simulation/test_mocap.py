@@ -73,6 +73,33 @@ def test_a_planted_angle_is_found_about_the_axis_of_its_joint(planted, bone, ang
     np.testing.assert_allclose(R, so3.about_axis(axis, np.radians(degrees)), atol=1e-6)
 
 
+@pytest.mark.parametrize(("bone", "joint", "spread"), [("lfemur", "Left", 20), ("rfemur", "Right", -20)])
+def test_legs_spread_at_rest_are_spread(planted, bone, joint, spread):
+    R = local(planted(**{bone: [-40, 0, 0]}))[0, index(joint + "UpLeg")]
+    expected = so3.euler_to_matrix("xyz", np.radians([spread, -40, 0]))
+    np.testing.assert_allclose(R, expected, atol=1e-6)
+
+
+def test_the_root_moves_in_metres_with_z_up_and_its_rest_facing_x(planted):
+    p = planted(root=[1, 2, 3, 0, 0, 0]).poses.p_world_joint[0]
+    np.testing.assert_allclose(p[index("Hips")], np.array([3, 1, 2]) * CMU_UNIT_M, atol=1e-12)
+    assert p[index("LeftArm"), 1] > p[index("RightArm"), 1]
+
+
+def test_arms_that_hang_in_the_rest_pose_hang():
+    path = DATA / "14_14_excerpt.bvh"
+    motion = read_bvh(path)
+    rest = replace(motion[:1], R_parent_joint=np.tile(np.eye(3), (1, len(motion.names), 1, 1)))
+    clip = mocap.map_motion(rest, recognise_family(path, motion), CMU_UNIT_M, 120.0, "rest")
+    p = clip.poses.p_world_joint[0]
+    for side in ("Left", "Right"):
+        arm = p[index(side + "Hand")] - p[index(side + "Arm")]
+        np.testing.assert_allclose(so3.unit(arm), [0, 0, -1], atol=1e-9)
+    # Thumbs point forward when arms hang from a T-pose with the palms down.
+    R = clip.poses.R_world_bone[0]
+    np.testing.assert_allclose(R[index("LeftHand")], so3.about_axis("x", -np.pi / 2), atol=1e-9)
+
+
 def test_pronation_turns_the_hand_and_not_the_forearm(planted):
     flat, turned = planted(), planted(lwrist=[40])
     before, after = local(flat)[0], local(turned)[0]

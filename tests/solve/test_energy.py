@@ -8,21 +8,16 @@ from dataclasses import replace
 
 import joint_space_support as js
 import numpy as np
-import planted
 import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics import c_compiler, simd
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.core.resources import model_path
-from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
 from rtof_kin.solve.joint_space.state import Limits
-from rtof_kin.solve.joint_space.terms import BUILT_IN, Smooth
+from rtof_kin.solve.joint_space.terms import BUILT_IN, jerk_sigma
 from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
@@ -251,32 +246,10 @@ def test_an_energy_is_built_once_and_interpreted_without_a_compiler(monkeypatch:
 
 def test_sigma_of_the_jerk_is_the_priors_times_a_factor() -> None:
     space, prior = js.built("whole").space, js.BODY.table.prior
-    sigma = Smooth(2.0, 0.5).sigma(space, {"LeftForeArm"})
+    settings = JointSpaceSettings(jerk=2.0, jerk_without_sensors=0.5)
+    sigma = jerk_sigma(space, settings, {"LeftForeArm"})
     np.testing.assert_allclose(sigma[:3], 2.0 * prior.sigma_root_jerk)
     unsensed = space.columns(SkeletonModel.default().names.index("RightLeg"))
     joint = prior.joints.index("RightLeg")
     np.testing.assert_allclose(sigma[unsensed], 0.5 * prior.sigma_jerk[joint])
-    np.testing.assert_allclose(Smooth(2.0, 0.5).sigma(space, ())[:3], 0.5 * prior.sigma_root_jerk)
-
-
-def test_the_demo_is_solved_alike_compiled_and_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With every built-in term: landmarks, sensors, anchors, a floor, prior and jerk."""
-    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
-    recording, frames = Recording.load(model_path("demo")), slice(0, 60)
-    assert recording.truth is not None
-    turn = so3.exp([0.0, 0.05, 0.1])
-    start = recording.truth[frames]
-    start = start.with_poses(slice(None), start.p_world_joint, start.R_world_bone @ turn)
-    imus = planted.bone_imus(recording.skeleton, recording.truth[frames], planted.LIMBS, 3.0, 0.4)
-    found = []
-    for compile in ("auto", "never"):
-        solver = FragmentSolver(recording.skeleton, 50, JointSpaceSettings(compile=compile, floor_height=0.0))
-        found.append(solver.solve(start, recording.keypoints[frames], imus, confidence=True))
-    own, plain = found
-    np.testing.assert_allclose(own.poses.p_world_joint, plain.poses.p_world_joint, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(own.poses.R_world_bone, plain.poses.R_world_bone, rtol=0, atol=1e-9)
-    assert own.confidence is not None
-    assert plain.confidence is not None
-    covariances = [s.confidence.position_covariance for s in found]
-    np.testing.assert_allclose(*covariances, rtol=0, atol=1e-9)
-    assert own.energy == pytest.approx(plain.energy, rel=1e-7)
+    np.testing.assert_allclose(jerk_sigma(space, settings, ())[:3], 0.5 * prior.sigma_root_jerk)

@@ -1,20 +1,11 @@
-"""Recordings that together use every field of ``recording.toml``, and the files that they name."""
+"""Recordings that together use every field of ``recording.toml``."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
-import planted
-from sensor_files import SERIALS, truth, write_mt
+from sensor_files import SERIALS
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
-from rtof_kin.data.camera_motion import CameraMotion
-from rtof_kin.formats.camera_motion import write_camera_motion
-from rtof_kin.formats.camera_toml import write_camera_toml
 
-T = 12
 LINES = """
     width_px = 1920
     height_px = 1080
@@ -176,36 +167,3 @@ RECORDINGS = {
     {SENSORS}
     """,
 }
-
-
-def write_files(folder: Path) -> None:
-    """Write the files that `RECORDINGS` name."""
-    video = planted.recording(planted.moving(SkeletonModel.default(), T)).video
-    np.savez(folder / "keypoints.npz", uv_px=video.uv_px, confidence=np.full((T, 21), 0.9))
-    np.savez(
-        folder / "imus.npz", quat_wxyz=np.tile([1.0, 0, 0, 0], (T, 2, 1)), f_sensor=np.tile([0, 0, 9.81], (T, 2, 1))
-    )
-    poses = planted.moving(SkeletonModel.default(), T).poses
-    np.savez(
-        folder / "truth.npz",
-        times=poses.times + 0.5,
-        p_world_joint=poses.p_world_joint,
-        R_world_bone=poses.R_world_bone,
-    )
-    names = [f"{s}_{end}" for s in ("L_UpArm", "strap") for end in ("qw", "qx", "qy", "qz", "fx", "fy", "fz")]
-    rows = [",".join(map(str, [t / 60, *[1, 0, 0, 0, 0, 0, 9.81] * 2])) for t in range(T)]
-    (folder / "imus.csv").write_text("\n".join([",".join(["time", *names]), *rows]))
-    rows = [f"{t / 60},500,{500 + t}" for t in range(T)]
-    (folder / "keypoints.csv").write_text("\n".join(["time,Hips_u_px,Hips_v_px", *rows]))
-    times = np.arange(-1, 3, 0.02)
-    write_camera_motion(
-        folder / "turning.npz", CameraMotion(times, so3.exp(0.1 * np.sin(times)[:, None] * [0, 1.0, 0]))
-    )
-    rows = [
-        ",".join(map(str, row)) for row in np.column_stack([times, np.tile([0, 0.1, 0, 0, 9.81, 0], (len(times), 1))])
-    ]
-    (folder / "gyro.csv").write_text("\n".join(["time,wx,wy,wz,fx,fy,fz", *rows]))
-    (folder / "trial").mkdir()
-    write_mt(folder / "trial", [truth(6), truth(7)])
-    (folder / "places.csv").write_text(f"{SERIALS[0]},pelvis\n")
-    write_camera_toml(folder / "cameras.toml", {"a": video.camera, "b": video.camera})

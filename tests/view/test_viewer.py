@@ -222,14 +222,10 @@ def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_mov
     with MotionReader(written(tmp_path, motion) / "motion.h5") as blocks:
         angles = AngleBlocks(blocks)
         assert angles.in_parts
-        first = angles.part(0, 20.0)
-        assert first is not None
+        (first, _), _, (last, _) = (angles.at(frame, 20.0) for frame in (0, 250, 250))
         others = [name for name in angles.names if name.startswith("right_knee") and "flexion" not in name]
         assert len(others) == 2
         assert not np.isfinite([first[name] for name in others]).any()
-        angles.part(250, 20.0)
-        last = angles.part(250, 20.0)
-        assert last is not None
         for found in (first, last):
             at = np.searchsorted(whole.times, found.times)
             assert len(at) < 150

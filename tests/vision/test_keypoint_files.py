@@ -13,7 +13,6 @@ from detector_support import flat
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.vision import keypoint_files
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.layouts import detector_table
 
@@ -216,12 +215,6 @@ def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, Array], message: s
     np.savez(path, **arrays)  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=message):
         read_detector_file(path)
-
-
-def test_files_that_are_too_large_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keypoint_files, "_LARGEST_JSON", 10)
-    with pytest.raises(FileFormatError, match="larger than 0 MiB, .*; write one file a frame"):
-        read_detector_file(dumped(tmp_path, frames("people", "keypoints")))
 
 
 def test_a_folder_must_hold_numbered_json(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from pathlib import Path, PurePosixPath
 
 from filelock import FileLock, Timeout
 
-from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError, too_long
+from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError
 from rtof_kin.core.files.manifest import (
     MANIFEST,
     make_folders,
@@ -189,7 +189,6 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
     contains only unchanged files of this package (see `core.files.manifest`).
     """
     path = Path(path)
-    _check_length(path)
     if path.is_symlink() or os.path.ismount(path):
         raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
     _check_place(path, "choose another folder")
@@ -217,14 +216,6 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         )
     if not overwrite:
         raise OutputExistsError.of(path)
-
-
-def _check_length(path: Path) -> None:
-    try:
-        path.lstat()
-    except OSError as error:
-        if error.errno == errno.ENAMETOOLONG:
-            raise WritingError(too_long(path)) from error
 
 
 def _check_place(path: Path, remedy: str) -> None:
@@ -327,7 +318,6 @@ def check_new_file(path: str | Path, overwrite: bool) -> None:
     cannot be.
     """
     path = Path(path)
-    _check_length(path)
     if path.exists() and not path.is_file():
         what = "a folder" if path.is_dir() else "a device or a pipe"
         raise OutputExistsError(f"{path}: is {what}; name a file")

@@ -6,6 +6,7 @@ import json
 import math
 import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,27 @@ def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -
         raise FileFormatError(path, f"not readable as JSON: {error.msg}", error.lineno) from error
     except (ValueError, RecursionError) as error:
         raise FileFormatError(path, f"not readable as JSON: {str(error)[:200]}") from error
+
+
+def numbers_of(
+    path: str | Path, line: int, cells: Sequence[str], count: int, what: str = "numbers", gaps: bool = False
+) -> list[float]:
+    """Return the numbers of a line; with `gaps` an empty cell is NaN. `FileFormatError`, which names the line: another
+    number of cells than `count`, or one that is not finite.
+    """
+
+    def number(cell: str) -> float:
+        try:
+            return float(cell) if cell.strip() or not gaps else math.nan
+        except ValueError:
+            return math.inf
+
+    values = list(map(number, cells))
+    if len(values) == count and all(abs(value) <= LARGEST_NUMBER or (gaps and value != value) for value in values):
+        return values
+    wrong = (c for c, v in zip(cells, values, strict=True) if not (abs(v) <= LARGEST_NUMBER or (gaps and v != v)))
+    odd = next((f", among them {cell[:40]!r}" for cell in wrong), "")
+    raise FileFormatError(path, f"expected {count} {what}, found {len(cells)}{odd}", line)
 
 
 def measurable(array: Array) -> bool:

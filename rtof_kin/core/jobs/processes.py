@@ -149,9 +149,8 @@ def _one_thread() -> Iterator[None]:
     try:
         yield
     finally:
-        for name in VARIABLES:
-            del os.environ[name]
-        os.environ.update({name: before[name] for name in VARIABLES if name in before})
+        os.environ.clear()
+        os.environ.update(before)
 
 
 # --- in the worker -------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def built(
         return None
     try:
         with BUILDING:
-            return _loaded(_identity(made_of, options), source, loaded, options, name)
+            return _loaded(made_of, source, loaded, options, name)
     except (OSError, RuntimeError, RtofError, subprocess.SubprocessError) as error:
         _log.warning("the energy could not be compiled (%s): it is interpreted, which is slower", error)
         _USED[name] = "interpreted"
@@ -74,9 +74,12 @@ def evaluated() -> str:
 
 
 def _loaded(
-    identity: str, source: Callable[[], str], loaded: Callable[[Path], Built], options: tuple[str, ...], name: str
+    made_of: str, source: Callable[[], str], loaded: Callable[[Path], Built], options: tuple[str, ...], name: str
 ) -> Built:
     """Return the contents of a library, compiled if it is missing or cannot be loaded."""
+    kind = processor() if options else ""
+    system = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
+    identity = hashlib.sha256(f"{system} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
     folder = cache_folder().absolute()
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:  # accept the library of any compiler
@@ -100,7 +103,9 @@ def _loaded(
                         _log.warning("compiling the energy, once for this kind of recording: 10 to 30 s ...")
                     library.unlink(missing_ok=True)
                     with new_file(library, overwrite=True) as made:
-                        _compile(source(), made, compiler, options)
+                        (written := made.with_name("energy.c")).write_text(source(), encoding="utf-8")
+                        command = [compiler, *_OPTIONS, *options, str(written), "-o", str(made), "-lm"]
+                        subprocess.run(command, check=True, capture_output=True, timeout=300)
         return loaded(library)
 
     try:
@@ -151,25 +156,6 @@ def _version(compiler: str) -> str:
     """Return name and version of a compiler."""
     answer = subprocess.run([compiler, "--version"], capture_output=True, text=True, timeout=60)
     return f"{Path(compiler).name}: {answer.stdout.partition(chr(10))[0]}"
-
-
-def _identity(made_of: str, options: tuple[str, ...]) -> str:
-    """Return the SHA-256 of everything that determines a library except the compiler."""
-    kind = processor() if options else ""
-    made = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
-    return hashlib.sha256(f"{made} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
-
-
-def _compile(source: str, library: Path, compiler: str, options: tuple[str, ...]) -> None:
-    """Compile a shared library; its source stays beside it."""
-    written = library.with_name("energy.c")
-    written.write_text(source, encoding="utf-8")
-    subprocess.run(
-        [compiler, *_OPTIONS, *options, str(written), "-o", str(library), "-lm"],
-        check=True,
-        capture_output=True,
-        timeout=300,
-    )
 
 
 class Buffered:

@@ -100,10 +100,11 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
     return (f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",)
 
 
-def aligned(first: Sequence[int], wrap: int) -> list[int]:
+def aligned(packets: Sequence[Packets], wrap: int) -> list[int]:
     """Return what to add to each sensor's counts, which wrap at `wrap`, so that all begin within half a wrap of the
     first packet of the first one; in one trial one may have 65535 and another 0.
     """
+    first = [int(one.count[0]) for one in packets]
     return [wrap * round((first[0] - one) / wrap) for one in first]
 
 

@@ -172,7 +172,7 @@ def _read_rows(
 _DOT_START: Final = re.compile(
     r"StartTime:\W*(\d{4}-\d\d-\d\d)_(\d\d:\d\d:\d\d)_(\d{1,3}) (?:GMT|UTC)([+-]\d{1,2})?(?::?(\d\d))?"
 )
-_MT_START: Final = re.compile(r"//\s*Start Time:\s*(?!Unknown)(\S.*)", re.IGNORECASE)
+MT_START: Final = re.compile(r"//\s*Start Time:\s*(?!Unknown)(\S.*)", re.IGNORECASE)
 _UTC_COLUMNS: Final = tuple(
     f"UTC_{part}" for part in ("Year", "Month", "Day", "Hour", "Minute", "Second", "Nano", "Valid")
 )
@@ -213,11 +213,6 @@ def start_of_mt(table: SensorTable, row: int) -> datetime | None:
         return datetime(*map(int, whole), tzinfo=UTC) + timedelta(microseconds=nano / 1000)  # type: ignore[misc, arg-type]
     except (ValueError, OverflowError):
         return None
-
-
-def start_in_mt_header(header: Sequence[str]) -> str | None:
-    """Return MT Manager's time of start as it is in the header; None where unknown."""
-    return next((match[1] for line in header if (match := _MT_START.match(line.strip()))), None)
 
 
 def unzoned_note(start: object) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.text import numbers_of, write_text
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.channels import StreamChannels
 from rtof_kin.formats.sensors.readings import Readings, in_order, lost, sensor_log
@@ -285,11 +285,18 @@ def read_opensense_sto(path: Path, **declared: Any) -> SensorLog:
     names = line.rstrip().split("\t")
     if names[0] != "time" or len(names) < 2:
         raise FileFormatError(path, f"expected time and sensors' names after {_END}", number)
-    table = [_row(path, n, line.rstrip().split("\t"), len(names)) for n, line in rows if line.strip()]
+    table = []
+    for number, line in rows:
+        cells_of = line.rstrip().split("\t")
+        if len(cells_of) == len(names):
+            widths = [1] + [4] * (len(names) - 1)
+            table.append([numbers_of(path, number, c.split(","), w) for c, w in zip(cells_of, widths, strict=True)])
+        elif line.strip():
+            raise FileFormatError(path, f"{len(cells_of)} cells under {len(names)} column names", number)
     if not table:
         raise FileFormatError(path, "holds names and no row", number)
-    times = np.array([time for time, _ in table])
-    quaternions = np.array([row for _, row in table]).transpose(1, 0, 2)
+    times = np.array([row[0][0] for row in table])
+    quaternions = np.array([row[1:] for row in table]).transpose(1, 0, 2)
     if declaration.rate_hz is not None:
         times = np.arange(len(times)) / declaration.rate_hz
     sensors = [
@@ -297,18 +304,6 @@ def read_opensense_sto(path: Path, **declared: Any) -> SensorLog:
         for name, quat in zip(names[1:], quaternions, strict=True)
     ]
     return sensor_log([path], OPENSENSE_TITLE, sensors, declaration, lost(times))
-
-
-def _row(path: Path, line: int, cells: list[str], columns: int) -> tuple[float, list[list[float]]]:
-    if len(cells) != columns:
-        raise FileFormatError(path, f"{len(cells)} cells under {columns} column names", line)
-    try:
-        time, quaternions = float(cells[0]), [list(map(float, c.split(","))) for c in cells[1:]]
-    except ValueError as error:
-        raise FileFormatError(path, f"holds something else than numbers ({error})", line) from error
-    if any(len(quat) != 4 for quat in quaternions):
-        raise FileFormatError(path, "a cell has not four numbers w,x,y,z", line)
-    return time, quaternions
 
 
 def write_opensense_sto(path: str | Path, log: SensorLog) -> None:

@@ -28,11 +28,11 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.readings import WRAP_16, WRAP_32, Packets, Readings, aligned, in_order, lost, sensor_log
 from rtof_kin.formats.sensors.sensor_text import (
+    MT_START,
     UTC_COLUMNS,
     SensorTable,
     cells,
     read_table,
-    start_in_mt_header,
     start_of_dot,
     start_of_mt,
     unzoned_note,
@@ -89,7 +89,7 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
     wrap = WRAP_32 if any(c is not None and (c >= WRAP_16).any() for c in counters) else WRAP_16
     packets = [_counted(table, wrap) for table in tables]
     sensors = []
-    for table, one, shift in zip(tables, packets, _shifts(packets, wrap), strict=True):
+    for table, one, shift in zip(tables, packets, aligned(packets, wrap), strict=True):
         times = (one.count + shift) / rate
         notes = (*table.notes, *one.notes, *lost(times, rate), *_check_stamps(table, one, rate))
         serial = table.path.stem.split("_")[-1]
@@ -97,7 +97,8 @@ def read_xsens_mt(paths: Sequence[Path], **declared: Any) -> SensorLog:
         sensors.append(_readings(name, table, one, times, notes))
     first = int(np.argmin([one.times[0] for one in sensors]))
     start = start_of_mt(tables[first], int(packets[first].rows[0]))
-    notes = () if start else unzoned_note(start_in_mt_header(tables[first].header))
+    stated = next((match[1] for line in tables[first].header if (match := MT_START.match(line.strip()))), None)
+    notes = () if start else unzoned_note(stated)
     return sensor_log(paths, MT_TITLE, sensors, declaration, notes, start)
 
 
@@ -108,7 +109,7 @@ def read_xsens_dot(paths: Sequence[Path], **declared: Any) -> SensorLog:
     declaration = own.changed(**declared)
     stamps = [_ordered(table, _STAMP, WRAP_32, _LATEST_US) for table in tables]
     sensors = []
-    for table, by_stamp, shift in zip(tables, stamps, _shifts(stamps, WRAP_32), strict=True):
+    for table, by_stamp, shift in zip(tables, stamps, aligned(stamps, WRAP_32), strict=True):
         one, times = by_stamp, (by_stamp.count + shift) / 1e6
         if declaration.rate_hz is not None:
             one = _ordered(table, _COUNTER, WRAP_32, _LATEST_PACKETS)
@@ -193,10 +194,6 @@ def _counted(table: SensorTable, wrap: int) -> Packets:
         rows = np.arange(len(table.values))
         return Packets(rows, rows, (f"no {_COUNTER}: packets that were lost cannot be seen",))
     return _ordered(table, _COUNTER, wrap, _LATEST_PACKETS)
-
-
-def _shifts(packets: Sequence[Packets], wrap: int) -> list[int]:
-    return aligned([int(one.count[0]) for one in packets], wrap)
 
 
 def _header_rate(table: SensorTable) -> float | None:

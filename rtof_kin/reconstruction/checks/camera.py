@@ -21,7 +21,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.inertial.root_path import FEET
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT, WALK_IN_DEPTH, Scene, check_walk, standing_feet
-from rtof_kin.reconstruction.checks.image import ImageExcerpt, check_image, sensed
+from rtof_kin.reconstruction.checks.image import ImageExcerpt, sensed
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
@@ -175,7 +175,7 @@ def check_camera_evidence(
     """
     skeleton, video = prepared.skeleton, prepared.recording.video
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
-    image = check_image(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
+    image = ImageExcerpt.of(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
@@ -188,7 +188,7 @@ def check_camera_alone(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
 ) -> tuple[Check, ...]:
     """Check the same before a reconstruction, by default with the shipped lifter."""
-    image = check_image(recording, skeleton, lifter or shipped_lifter())
+    image = ImageExcerpt.of(recording, skeleton, lifter or shipped_lifter())
     stands = None
     if image.lifted is not None:
         stands = standing(image.lifted.poses, image.keypoints, False)

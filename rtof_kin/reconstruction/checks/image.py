@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -58,39 +58,6 @@ class Lifted(NamedTuple):
 
     poses: PoseSequence  # Positions; no orientations
     certainty: float  # Larger for keypoints as people have them; NaN of a lifter without uncertainties
-
-
-@dataclass(frozen=True)
-class ImageExcerpt:
-    """Excerpt of a recording and the checks of its image."""
-
-    keypoints: KeypointSequence
-    lifted: Lifted | None  # As given; None where too little is visible
-    bone_imus: BoneImuSequence | None  # The sensors at the same times
-    checks: tuple[Check, ...]  # Of its orientation, its size, its sides
-    small: str  # Cause of a wrong scale if points fill little of the image; else empty
-
-
-def check_image(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> ImageExcerpt:
-    """Compare the keypoints with each usual mistake undone; `lifter`: None for one that predicts no uncertainties:
-    image orientation remains unchecked.
-    """
-    keypoints = excerpt(recording.video)
-    bone_imus = sensed(recording, keypoints.times)
-    if bone_imus is not None and not sensed_bones(bone_imus, skeleton):
-        bone_imus = None
-    look = _Look(skeleton, lifter, keypoints, bone_imus)
-    if look.given is None or np.isnan(look.given.certainty):
-        seen = lifter is not None and look.given is None
-        why = "too little of the person is visible" if seen else "the lifter predicts no uncertainties"
-        checks = tuple(_unknown(name, why) for name in (_SIZE, _TURN, _SIDES))
-    else:
-        checks = tuple[Check, ...]()
-        for name, check in ((_TURN, look.turn), (_SIZE, look.size), (_SIDES, look.sides)):
-            wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
-            checks += (_unknown(name, wrong) if wrong else check(),)
-    small = _SMALL if look.reach < _REACH else ""
-    return ImageExcerpt(keypoints, look.given, look.bone_imus, checks, small)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
@@ -207,18 +174,45 @@ def _extent(seen: KeypointSequence) -> float:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """An excerpt, compared with each mistake undone."""
+class ImageExcerpt:
+    """An excerpt of a recording, compared with each mistake undone."""
 
     skeleton: SkeletonModel
-    lifter: LifterLike | None
+    lifter: LifterLike | None  # None for one that predicts no uncertainties: image orientation remains unchecked
     keypoints: KeypointSequence
-    bone_imus: BoneImuSequence | None
+    bone_imus: BoneImuSequence | None  # The sensors at the same times
+
+    @classmethod
+    def of(cls, recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Self:
+        """Return the excerpt of a recording."""
+        keypoints = excerpt(recording.video)
+        bone_imus = sensed(recording, keypoints.times)
+        if bone_imus is not None and not sensed_bones(bone_imus, skeleton):
+            bone_imus = None
+        return cls(skeleton, lifter, keypoints, bone_imus)
 
     @cached_property
-    def given(self) -> Lifted | None:
-        """The keypoints as given, lifted; None where that is impossible."""
+    def lifted(self) -> Lifted | None:
+        """The keypoints as given, lifted; None where too little is visible."""
         return None if self.lifter is None else certainty(self.keypoints, self.skeleton, self.lifter)
+
+    @cached_property
+    def checks(self) -> tuple[Check, ...]:
+        """Checks of the image's orientation, its size and its sides."""
+        if self.lifted is None or np.isnan(self.lifted.certainty):
+            seen = self.lifter is not None and self.lifted is None
+            why = "too little of the person is visible" if seen else "the lifter predicts no uncertainties"
+            return tuple(_unknown(name, why) for name in OF_IMAGE)
+        checks = tuple[Check, ...]()
+        for name, check in ((_TURN, self.turn), (_SIZE, self.size), (_SIDES, self.sides)):
+            wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
+            checks += (_unknown(name, wrong) if wrong else check(),)
+        return checks
+
+    @property
+    def small(self) -> str:
+        """Cause of a wrong scale if points fill little of the image; else empty."""
+        return _SMALL if self.reach < _REACH else ""
 
     @cached_property
     def _given_misfit(self) -> float:
@@ -251,10 +245,10 @@ class _Look:
 
     def turn(self) -> Check:
         """Whether the picture or the world would better be turned; not asked of who stands upright."""
-        assert self.given is not None
+        assert self.lifted is not None
         hypotheses, headings = dict(_TURNED), set[str]()
         agreed = self.bone_imus is not None and self._given_misfit < _AGREED
-        if agreed or self.given.certainty > _UPRIGHT:
+        if agreed or self.lifted.certainty > _UPRIGHT:
             hypotheses = {}
         elif (other := _stood_up(self.keypoints)) is not None:
             hypotheses[other[0]] = other[1]
@@ -307,12 +301,12 @@ class _Look:
         return Check(name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named))
 
     def _gain(self, undo: Undo) -> float:
-        assert self.given is not None
+        assert self.lifted is not None
         assert self.lifter is not None
         other = certainty(undo(self.keypoints), self.skeleton, self.lifter)
         if other is None or not other.certainty > _UNSEEN:
             return -np.inf
-        return other.certainty - self.given.certainty
+        return other.certainty - self.lifted.certainty
 
     def _with_sensors(self, gain: float, undo: Undo, any_heading: bool = False) -> float:
         if self.bone_imus is None:

@@ -361,7 +361,7 @@ def built_energy(
     compile: Compile,
     sigma: Array,
 ) -> FragmentEnergy:
-    """Return an energy of N frames of a skeleton, compiled where possible; sigma: (D,) of the jerk (`terms.Smooth`)."""
+    """Return an energy of N frames of a skeleton, compiled where possible; sigma: (D,) `terms.jerk_sigma`."""
     with BUILDING:
         energy = _frame_energy(name, terms, moving, hinges)
         return FragmentEnergy(_functions(name, terms, moving, hinges, compile), energy, frames, sigma)

@@ -17,7 +17,14 @@ from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.energy import FrameEnergy
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
-from rtof_kin.solve.joint_space.terms import Acceleration, Smooth, bone_axis, built_in_terms, low_passed, sensor_data
+from rtof_kin.solve.joint_space.terms import (
+    Acceleration,
+    bone_axis,
+    built_in_terms,
+    jerk_sigma,
+    low_passed,
+    sensor_data,
+)
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.terms import MotionTerm, PointData, Term, check_observed
 from rtof_kin.vision.image_points import image_points, joined_points, measurements
@@ -116,7 +123,7 @@ class Observations:
         if self.seen:
             shares = self.points.independent / self.points.sizes**2
             self.confidence = np.concatenate([k.confidence for k in self.seen], axis=1) * shares
-        if self.points.place_covariance.any():  # remove from the pixels what moves points beside their segments
+        if self.points.moving:  # remove from the pixels what moves points beside their segments
             p, R = start.p_world_joint, start.R_world_bone
             off = [self.points.displaced(camera, p, R)[:, part] for camera, part in cameras]
             shown = np.where(self.confidence[..., None] > 0, np.nan_to_num(np.concatenate(off, axis=1)), 0.0)
@@ -146,7 +153,7 @@ class Observations:
     def energy(self, frames: int) -> FragmentEnergy:
         """Return an energy like `problem` of any number of frames, with arrays of its own."""
         s, moving = self.settings, self.space.names
-        sigma = Smooth(s.jerk, s.jerk_without_sensors).sigma(self.space, self.active)
+        sigma = jerk_sigma(self.space, s, self.active)
         return built_energy(self.skeleton.name, self.terms, moving, frames, s.hinges, s.compile, sigma)
 
 

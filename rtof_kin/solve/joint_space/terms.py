@@ -381,28 +381,21 @@ class Acceleration(Term):
         return {"levers": data.sensed[4].T}
 
 
-@dataclass(frozen=True)
-class Smooth:
-    """Jerk of the root and of the joints' rotations by that of free motion; it couples four frames.
+def jerk_sigma(space: StateSpace, settings: JointSpaceSettings, active: Collection[str]) -> Array:
+    """Return the standard deviations (D,) of the jerk of every tangent coordinate, m/s^3 and rad/s^3.
 
-    Its residual acts on the steps of the whole state, so the evaluators have it (`stencils.motion`).
+    The term "smooth", the jerk of root and joints by that of free motion, couples four frames: its residual acts on the
+    steps of the whole state, so the evaluators have it (`stencils.motion`).
+
+    Args:
+        active: segments with sensor data.
     """
-
-    jerk: float  #: [1] Factor on the standard deviation of the jerk
-    unsensed: float  #: [1] The same for limbs without a sensor, and for all joints where there are no sensors
-    name: str = "smooth"
-    unit: ClassVar[str] = "m/s^3, rad/s^3"
-
-    def sigma(self, space: StateSpace, active: Collection[str]) -> Array:
-        """Return the standard deviations (D,) of the jerk of every tangent coordinate; `active`: segments with sensor
-        data.
-        """
-        prior, smooth = space.skeleton.table.prior, bare(active)
-        others = self.jerk if active else self.unsensed
-        factors = [self.unsensed if name in smooth else others for name in space.names]
-        sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
-        tangent = np.repeat(sigma * factors, 3) @ (space.expand != 0)
-        return np.concatenate([np.full(3, others * prior.sigma_root_jerk), tangent])
+    prior, smooth = space.skeleton.table.prior, bare(active)
+    others = settings.jerk if active else settings.jerk_without_sensors
+    factors = [settings.jerk_without_sensors if name in smooth else others for name in space.names]
+    sigma = prior.sigma_jerk[[prior.joints.index(joint) for joint in space.names]]
+    tangent = np.repeat(sigma * factors, 3) @ (space.expand != 0)
+    return np.concatenate([np.full(3, others * prior.sigma_root_jerk), tangent])
 
 
 def _pixels(uv: Matrix, K: Matrix, R: Matrix, t: Matrix, point: Matrix) -> Matrix:
