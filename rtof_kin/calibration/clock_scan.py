@@ -162,7 +162,10 @@ class ClockScan:
         found = []
         for k in scan.peaks(_CANDIDATES if known else _ASSIGNED):
             table = np.array([gain[k] for gain, _ in tables], dtype=float)
-            segments = np.zeros(S, dtype=np.intp) if known else _assigned(table)
+            segments = np.full(S, 0 if known else -1)
+            if not known:  # each segment is taken once
+                rows, columns = linear_sum_assignment(-table)
+                segments[rows] = columns
             worn = np.flatnonzero(segments >= 0)
             found.append((float(table[worn, segments[worn]].sum()), k, segments))
         found.sort(key=lambda peak: -peak[0])
@@ -186,14 +189,6 @@ class ClockScan:
     def sigma(self) -> float:
         """[s] Standard deviation of the best offset."""
         return float(np.hypot(_SIGMA_FACTOR * self.scan.sigma, SIGMA_LEAST))
-
-
-def _assigned(table: Array) -> Index:
-    """Segment (S,) of each sensor with the largest sum of gains (S, N), each taken once; -1 for none."""
-    out = np.full(len(table), -1, dtype=np.intp)
-    rows, columns = linear_sum_assignment(-table)
-    out[rows] = columns
-    return out
 
 
 def _offsets(

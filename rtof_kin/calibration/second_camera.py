@@ -132,7 +132,11 @@ class _System:
         self._g_p = np.zeros(p.shape)
         s = settings.sigma_image
         errors = np.concatenate([self._add_image(c, cameras[c], images, p, s) for c in (0, 1)])
-        self.size = float(np.median(np.abs(errors))) / _NORMAL_MEDIAN * _lost(images)
+        # Residuals are smaller by the joints that were fitted to them.
+        seen, joints = (images.weight > 0).sum(), (images.weight > 0).any(axis=0).sum()
+        known = float(2 * seen + len(images.bones) * images.weight.shape[1])
+        lost = np.sqrt(known / max(known - 3 * joints, 0.1 * known))
+        self.size = float(np.median(np.abs(errors)) / _NORMAL_MEDIAN * lost)
         self._add_bones(images.bones, p, settings.sigma_bone)
         for c in (0, 1):
             self._add_shape(c, images.shapes[c], p, settings.sigma_shapes[c])
@@ -209,14 +213,6 @@ class _System:
                 self._H_cp[:, SIZE, i] -= sign * w * long * u
             self._H_cc[SIZE, SIZE] += w * len(p) * long**2
             self._g_c[SIZE] -= w * long * float(r.sum())
-
-
-def _lost(images: Images) -> float:
-    """Factor on the size of residuals for the joints that were fitted to them."""
-    seen = int((images.weight > 0).sum())
-    joints = int((images.weight > 0).any(axis=0).sum())
-    known = 2 * seen + len(images.bones) * images.weight.shape[1]
-    return float(np.sqrt(known / max(known - 3 * joints, 0.1 * known)))
 
 
 JOINTS: Final = (

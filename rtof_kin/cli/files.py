@@ -209,7 +209,17 @@ def export(
     if {"archive", "onnx"} & {*to}:
         if len(to) > 1:
             raise InvalidInputError(f"--to {to[0]}: one file of its own; other formats go to a folder of their own")
-        (_write_archive if to[0] == "archive" else _write_lifter)(motion, written, recording, flip, overwrite)
+        if to[0] == "archive":
+            from rtof_kin.reporting.archive import write_result_archive
+
+            write_result_archive(written, Path(motion), recording, overwrite)
+            say(f"wrote {written}: recording, settings, versions and result, without names and video")
+        else:
+            from lifting.onnx_export import export_onnx
+            from lifting.predict import Lifter
+
+            check_new_file(written, overwrite)
+            say(f"wrote {export_onnx(Lifter.load(Path(motion)), written, flip, overwrite)}")
         return
     from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.files.folder import new_folder
@@ -220,19 +230,3 @@ def export(
     with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
         write_motion_files(folder, reader, formats)
     print_files(written)
-
-
-def _write_archive(motion: str, path: Path, recording: Path | None, _: bool, overwrite: bool) -> None:
-    from rtof_kin.reporting.archive import write_result_archive
-
-    write_result_archive(path, Path(motion), recording, overwrite)
-    say(f"wrote {path}: recording, settings, versions and result, without names and video")
-
-
-def _write_lifter(name: str, path: Path, _: Path | None, flip: bool, overwrite: bool) -> None:
-    from lifting.onnx_export import export_onnx
-    from lifting.predict import Lifter
-    from rtof_kin.core.files.folder import check_new_file
-
-    check_new_file(path, overwrite)
-    say(f"wrote {export_onnx(Lifter.load(Path(name)), path, flip, overwrite)}")

@@ -58,17 +58,15 @@ def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFau
 def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[StreamFault]:
     """Yield intervals without samples within a span, s; one for all sensors where all have it in common."""
     known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
-    by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
+    by_sensor = []
+    for own in known.T:
+        times = imus.times[own]
+        edges = np.array([start, *times[(times > start) & (times < stop)], stop])
+        by_sensor.append([(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)])
     shared = set(by_sensor[0]).intersection(*by_sensor[1:])
     yield from (StreamFault(FaultKind.ENDED, "all sensors", *span) for span in sorted(shared))
     for name, spans in zip(imus.names, by_sensor, strict=True):
         yield from (StreamFault(FaultKind.ENDED, name, *span) for span in spans if span not in shared)
-
-
-def _without(times: Array, start: float, stop: float) -> list[tuple[float, float]]:
-    inside = times[(times > start) & (times < stop)]
-    edges = np.array([start, *inside, stop])
-    return [(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)]
 
 
 def repeated_samples(imus: ImuSequence) -> Mask:

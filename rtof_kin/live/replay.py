@@ -35,19 +35,17 @@ _LONGEST_WAIT: Final = 0.05  # [s] after which a thread that waits looks whether
 class ReplayClock:
     """Time that all replays of a session have reached.
 
-    `speed`: times real time; inf: every round of polls is one step later, however long it took. `step`: that of a
-    round, s. `now`: seconds of the system.
+    `speed`: times real time; inf: every round of polls is 1/60 s later, however long it took. `now`: seconds of the
+    system.
 
     Raises:
-        InvalidInputError: the speed or the step is not positive.
+        InvalidInputError: the speed is not positive.
     """
 
-    def __init__(self, speed: float = 1.0, step: float = _STEP, now: Callable[[], float] = system.monotonic) -> None:
+    def __init__(self, speed: float = 1.0, now: Callable[[], float] = system.monotonic) -> None:
         if not speed > 0:
             raise InvalidInputError(f"speed of a replay: {speed:g} is not positive")
-        if not 0 < step < np.inf:
-            raise InvalidInputError(f"step of a replay: {step:g} s is not positive")
-        self._speed, self._step, self._system = speed, step, now
+        self._speed, self._system = speed, now
         self._spans: dict[str, tuple[float, float]] = {}
         self._begun: float | None = None
         self._round, self._read = 0, set[int]()
@@ -69,7 +67,7 @@ class ReplayClock:
         with self._lock:
             if self.paced:
                 return self.first if self._begun is None else self._paced(self._begun)
-            return self.first + self._round * self._step
+            return self.first + self._round * _STEP
 
     def cover(self, name: str, first: float, last: float) -> None:
         """Take part: the replay begins at the earliest time of all sources. `first`, `last`: its times, s.
@@ -100,7 +98,7 @@ class ReplayClock:
                 self._round += 1
                 self._read.clear()
             self._read.add(id(reader))
-            return self.first + self._round * self._step
+            return self.first + self._round * _STEP
 
     def _paced(self, begun: float) -> float:
         return self.first + self._speed * (self._system() - begun)

@@ -190,7 +190,7 @@ class Window:
         own = self._measured
         px = camera.normalise(uv[own]) @ camera.K[:2, :2].T + camera.K[:2, 2]
         points = self.data.points
-        if points.place_covariance.any():
+        if points.moving:
             if self.head % _DISPLACED_EVERY == 0 or self._displaced is None:
                 p, R = self.data.space.poses(self.smoother.x[i : i + 1])
                 self._displaced = np.nan_to_num(points.displaced(camera, p, R)[0])

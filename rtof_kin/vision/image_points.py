@@ -53,7 +53,6 @@ class DetectorPoint:
     place: Array  #: (3,) from the anchor, m
     size: float  #: [m] Standard deviation of its errors per axis, up to a scale that is common to all points
     independent: float  #: [1] Weight beside correlated neighbours
-    place_sd: Array  #: (3,) of its place between persons, m
     second: str  #: Segment that moves the place too
     second_place: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) in the second segment's frame, m
     view: Array = field(default_factory=lambda: np.zeros((HARMONICS, 3)))
@@ -119,7 +118,6 @@ def _point(part: Mapping[str, Any], usual: Landmark, measured: Mapping[str, Any]
         place,
         part["size_mm"] / 1000,
         part["independent"],
-        _metres(part["place_sd_mm"]),
         second_frame,
         second_place,
         np.zeros((HARMONICS, 3)) if view is None else _metres(view),
@@ -140,7 +138,6 @@ class ImagePoints:
     places: Array  #: (L, 3) in the link frames, m
     sizes: Array  #: (L,) expected errors relative to those of the others
     independent: Array  #: (L,) weights beside correlated neighbours, relative to those of the others
-    place_covariance: Array  #: (L, 3, 3) of the places between persons, m^2; zero for the skeleton's landmarks
     anchors: tuple[int, ...]  #: Joint next to each
     seconds: tuple[int, ...]  #: Segment that moves the point too
     second_places: Array  #: (L, 3) in the second segments' link frames, m
@@ -151,6 +148,11 @@ class ImagePoints:
         """Return the points (T, L, 3) in world, m. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3)."""
         own = [j for j, _ in self.on]
         return np.asarray(p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places))
+
+    @property
+    def moving(self) -> bool:
+        """Whether anything moves the points beside their segments, see `displaced`."""
+        return bool(self.second_places.any() or self.views.any())
 
     def displaced(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
         """Return by how much the points (T, L, 2) lie off their places in the undistorted image, px, at joints (T, J,
@@ -165,14 +167,6 @@ class ImagePoints:
         off = second + np.einsum("tij,tlj->tli", R_pelvis, by_view)
         return np.asarray(camera.project(at + off) - camera.project(at))
 
-    def slopes(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
-        """Return derivatives (T, L, 2, 3) of the undistorted image by the places, px/m; arguments as in `displaced`."""
-        xyz = camera.to_camera(self.positions(p_world_joint, R_world_bone)) @ camera.K.T
-        uv, depth = xyz[..., :2] / xyz[..., 2:], xyz[..., 2]
-        by_world = camera.K @ camera.R_camera_world
-        J = (by_world[:2] - uv[..., None] * by_world[2]) / depth[..., None, None]
-        return np.asarray(J @ R_world_bone[:, [j for j, _ in self.on]])
-
 
 def joined_points(parts: Sequence[ImagePoints]) -> ImagePoints:
     """Return the points of several cameras, one after the other."""
@@ -180,7 +174,7 @@ def joined_points(parts: Sequence[ImagePoints]) -> ImagePoints:
         name: tuple(item for part in parts for item in getattr(part, name))
         for name in ("names", "on", "anchors", "seconds")
     }
-    for name in ("places", "sizes", "independent", "place_covariance", "second_places", "views"):
+    for name in ("places", "sizes", "independent", "second_places", "views"):
         joined[name] = np.concatenate([getattr(part, name) for part in parts])
     return replace(parts[0], **joined)
 
@@ -194,7 +188,6 @@ class _Point(NamedTuple):
     place: Array
     second_place: Array = np.zeros(3)
     view: Array = np.zeros((HARMONICS, 3))
-    spread: Array = np.zeros((3, 3))
     size: float = 1.0
     independent: float = 1.0
 
@@ -215,22 +208,21 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
         point = known[name]
         segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
         at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
-        place, spread = at + leg * turns[segment] @ point.place, leg * turns[segment] * point.place_sd
+        place = at + leg * turns[segment] @ point.place
         moving = leg * turns[second] @ point.second_place, leg * point.view
-        points.append(_Point(segment, anchor, second, place, *moving, spread, point.size, point.independent))
+        points.append(_Point(segment, anchor, second, place, *moving, point.size, point.independent))
     L = len(points)
 
     def each(field: str, *shape: int) -> Array:
         return np.reshape([getattr(point, field) for point in points], (L, *shape)).astype(float)
 
-    sizes, independent, spread = each("size"), each("independent"), each("spread", 3, 3)
+    sizes, independent = each("size"), each("independent")
     return ImagePoints(
         names=tuple(names),
         on=tuple((point.segment, name in skeleton.names) for point, name in zip(points, names, strict=True)),
         places=each("place", 3),
         sizes=sizes / np.exp(np.log(sizes).sum() / max(L, 1)),
         independent=independent / (independent.sum() / max(L, 1)),
-        place_covariance=spread @ np.swapaxes(spread, -1, -2),
         anchors=tuple(point.anchor for point in points),
         seconds=tuple(point.second for point in points),
         second_places=each("second_place", 3),

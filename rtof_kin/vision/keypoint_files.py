@@ -141,7 +141,7 @@ def _read_json(path: Path) -> Detections:
     if isinstance(data, list):
         return _of_list(path, data)
     if not isinstance(data, dict):
-        raise FileFormatError(path, f"holds {str(data)[:40]!r}, not people's keypoints")
+        raise FileFormatError(path, f"holds a {type(data).__name__}, not people's keypoints")
     if isinstance(data.get("annotations"), list):
         return _by_image(path, data["annotations"], data)
     for key in ("instance_info", "frames"):
@@ -246,7 +246,7 @@ def _people(path: Path, frame: Any, where: str) -> list[Person]:
         return [_person(path, frame, where)]
     if isinstance(frame, list):
         return _people_listed(path, [frame] if _is_person(frame) else frame, where)
-    raise FileFormatError(path, f"{where}: holds {str(frame)[:40]!r}, not people")
+    raise FileFormatError(path, f"{where}: holds a {type(frame).__name__}, not people")
 
 
 def _with_scores(people: list[Any], frame: Mapping[str, Any]) -> list[Any]:
@@ -261,7 +261,7 @@ def _with_scores(people: list[Any], frame: Mapping[str, Any]) -> list[Any]:
 def _people_listed(path: Path, entries: Any, where: str) -> list[Person]:
     """Return the listed people that have detected points."""
     if not isinstance(entries, list):
-        raise FileFormatError(path, f"{where}: holds {str(entries)[:40]!r}, not a list of people")
+        raise FileFormatError(path, f"{where}: holds a {type(entries).__name__}, not a list of people")
     entries = [{"keypoints": entry} if isinstance(entry, list) else entry for entry in entries]
     return [
         _person(path, entry, f"{where}, person {i}")
@@ -280,7 +280,7 @@ def _is_person(values: Sequence[Any]) -> bool:
 
 def _person(path: Path, entry: Any, where: str) -> Person:
     if not isinstance(entry, dict):
-        raise FileFormatError(path, f"{where}: holds {str(entry)[:40]!r}, not a person")
+        raise FileFormatError(path, f"{where}: holds a {type(entry).__name__}, not a person")
     values = next((entry[key] for key in _POINTS if key in entry), None)
     if not isinstance(values, list) or not values:
         raise FileFormatError(path, f"{where}: has no field {', '.join(_POINTS)} with a list of points")

@@ -18,7 +18,7 @@ import pytest
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.cli.terminal import log_handler
+from rtof_kin.cli.terminal import accuracy, log_handler
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.recording.recording import Recording
@@ -199,8 +199,7 @@ def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: An
 
 def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed: Path, cli: Any) -> None:
     done = cli.ok("evaluate", reconstructed, "--truth", short)
-    for text in ("rtof", "zero", "LeftForeArm", "[m/s2]", "worlds aligned: the motion is turned by"):
-        assert text in done.out
+    done.says("rtof", "zero", "LeftForeArm", "[m/s2]", "worlds aligned: the motion is turned by")
     assert "\u2026" not in done.out  # no heading is cut at 80 columns
 
 
@@ -261,3 +260,8 @@ def test_escape_codes_of_others_do_not_reach_the_terminal(capsys: pytest.Capture
     handler = log_handler()
     handler.handle(logging.LogRecord("torch", logging.WARNING, "", 0, "%s", (text,), None))
     assert capsys.readouterr().err == "WARNING: Weights only load2J failed\n\n"
+
+
+@pytest.mark.parametrize("sigma, words", [(np.nan, "unknown"), (0.01, "expected 16 mm relative")])
+def test_accuracy_without_truth_is_that_of_the_covariances_or_unknown(sigma: float, words: str) -> None:
+    assert words in accuracy(None, (sigma, sigma), "rto")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from assignment_support import exchanged, some
 
-from rtof_kin.cli import main
 from rtof_kin.recording.recording import Recording
 
 
@@ -19,26 +19,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_wrong_sensors_are_named_and_corrected_in_a_new_folder(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_sensors_are_named_and_corrected_in_a_new_folder(folder: Path, cli: Any) -> None:
     before = {path: path.read_bytes() for path in folder.iterdir()}
     out = folder.parent / "corrected"
-    assert main(["inspect", str(folder), "--fix", "-o", str(out)]) == 1
-    text = " ".join(capsys.readouterr().out.split())
-    assert "L_UpLeg, declared on LeftUpLeg, is on RightUpLeg" in text
-    assert "L_UpLeg on RightUpLeg" in text
+    done = cli("inspect", folder, "--fix", "-o", out)
+    assert done.code == 1
+    done.says("L_UpLeg, declared on LeftUpLeg, is on RightUpLeg", "L_UpLeg on RightUpLeg")
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
     calibration = Recording.load(out).calibration
     assert calibration is not None
     assert calibration.joints[calibration.sensors.index("R_UpLeg")] == "LeftUpLeg"
 
-    assert main(["inspect", str(out), "--fix", "-o", str(out / "again")]) == 0
-    assert "nothing to correct, and nothing was written" in capsys.readouterr().out
+    cli.ok("inspect", out, "--fix", "-o", out / "again").says("nothing to correct, and nothing was written")
     assert not (out / "again").exists()
 
 
-def test_fix_needs_one_recording_and_a_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in (["--fix"], ["-o", "x"], [str(folder), "--fix", "-o", "x"]):
-        assert main(["inspect", str(folder), *arguments]) == 2
-        assert "--fix -o OUT" in capsys.readouterr().err
+def test_fix_needs_one_recording_and_a_folder(folder: Path, cli: Any) -> None:
+    for arguments in (["--fix"], ["-o", "x"], [folder, "--fix", "-o", "x"]):
+        assert "--fix -o OUT" in cli.refused("inspect", folder, *arguments).err

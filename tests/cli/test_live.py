@@ -194,12 +194,6 @@ def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named
     assert named in done.err
 
 
-def test_help_lists_sources_with_examples(cli: Cli) -> None:
-    text = cli("live", "--help").out
-    for word in ("lsl:NAME", "walk.mp4", "FOLDER", "/dev/video2", "docs/live.md"):
-        assert word in text
-
-
 @pytest.mark.usefixtures("estimator")
 def test_the_page_is_shown_in_the_browser_where_asked_for(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("websockets")

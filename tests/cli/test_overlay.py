@@ -50,9 +50,3 @@ def test_unknown_angles_and_films_are_named(cli: Callable[..., Any], out: Path, 
     assert "no such video" in cli.refused("overlay", out, tmp_path / "none.mp4", "-o", tmp_path / "o.mp4").err
     assert "interval" in cli("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--start", "3", "--stop", "1").err
     assert not list(tmp_path.iterdir())
-
-
-def test_help_says_whose_faces_are_blurred(cli: Callable[..., Any]) -> None:
-    text = cli("overlay", "--help").out
-    assert "not those of other people" in text
-    assert "Sound and metadata" in text

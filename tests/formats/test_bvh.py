@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.bvh import read_bvh, write_bvh
 
@@ -168,15 +168,6 @@ def test_invalid_names_and_orders_are_not_written(tmp_path, name, order, says):
     with pytest.raises(InvalidInputError, match=says):
         write_bvh(tmp_path / "out.bvh", a_motion((name,), (-1,)), order=order)
     assert not list(tmp_path.iterdir())
-
-
-def test_existing_file_is_replaced_only_when_asked(tmp_path):
-    motion, path = a_motion(("root",), (-1,)), tmp_path / "out.bvh"
-    write_bvh(path, motion)
-    with pytest.raises(OutputExistsError, match=r"out\.bvh"):
-        write_bvh(path, motion)
-    write_bvh(path, motion[:2], overwrite=True)
-    assert len(read_bvh(path)) == 2
 
 
 def test_unknown_position_is_not_written(tmp_path):

@@ -125,8 +125,10 @@ def fake(
     return FakeRecording(Imus(names), Imus(()) if camera else None, names), runs
 
 
-@pytest.mark.parametrize(("sensors", "camera"), [(1, True), (2, False), (5, True), (9, True)])
-@pytest.mark.parametrize("greedy", [True, False, None])
+@pytest.mark.parametrize(
+    ("sensors", "camera", "greedy"),
+    [(1, True, True), (2, False, None), (4, True, True), (4, True, False), (4, False, None), (9, True, None)],
+)
 def test_number_of_runs_is_known_beforehand(
     monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles, sensors: int, camera: bool, greedy: bool | None
 ) -> None:

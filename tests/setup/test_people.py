@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from setup_support import beside, pair, people_in, walker, write_keypoints
+from matplotlib.image import imread
+from setup_support import LAYOUT, beside, pair, people_in, walker, write_keypoints
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.setup.people import choose_person, read_people, write_people
+from rtof_kin.setup.people import choose_person, read_people, write_frames_picture, write_people
 
 
 def test_the_largest_person_in_the_middle_is_number_one_in_every_frame(tmp_path: Path) -> None:
@@ -70,3 +71,21 @@ def test_a_person_whom_the_detector_found_twice_is_one(tmp_path: Path) -> None:
     people = people_in(write_keypoints(tmp_path / "twice.npz", uv, again))
     assert len(people) == 1
     assert people.detections.present.all()
+
+
+FIRST, SECOND = np.array([0xE6, 0x9F, 0x00]) / 255, np.array([0x00, 0x72, 0xB2]) / 255
+
+
+def share(path: Path, color: np.ndarray) -> float:
+    image = np.asarray(imread(path))[..., :3]
+    return float((np.abs(image - color).max(axis=-1) < 0.02).mean())
+
+
+def test_every_person_is_drawn_in_a_colour_of_its_own(tmp_path: Path) -> None:
+    one = people_in(write_keypoints(tmp_path / "one.npz", pair()[0]))
+    two = people_in(write_keypoints(tmp_path / "two.npz", *pair()))
+    for name, people in {"one": one, "two": two}.items():
+        write_frames_picture(tmp_path / f"{name}.png", people, LAYOUT, (1920, 1080))
+    assert share(tmp_path / "one.png", FIRST) > 1e-3
+    assert share(tmp_path / "one.png", SECOND) == 0.0
+    assert share(tmp_path / "two.png", SECOND) > 1e-3

@@ -67,14 +67,6 @@ def test_sides_are_mirror_images() -> None:
         np.testing.assert_allclose(seen, opposite * M, atol=1e-12)
 
 
-def test_slopes_are_the_derivatives_by_the_places() -> None:
-    found, p, R = points("halpe26"), POSES.p_world_joint, POSES.R_world_bone
-    own, step = [j for j, _ in found.on], np.array([2e-6, -1e-6, 3e-6])
-    moved = found.positions(p, R) + R[:, own] @ step
-    change = CAMERA.project(moved) - CAMERA.project(found.positions(p, R))
-    np.testing.assert_allclose(found.slopes(CAMERA, p, R) @ step, change, atol=1e-7)
-
-
 def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
     names = ("Nose", "Hips", "coco17:LeftEar", "coco17:Nose")
     seen = KeypointSequence(CAMERA, np.arange(2.0), np.ones((2, 4, 2)), np.ones((2, 4)), names)

@@ -123,7 +123,7 @@ class Observations:
         if self.seen:
             shares = self.points.independent / self.points.sizes**2
             self.confidence = np.concatenate([k.confidence for k in self.seen], axis=1) * shares
-        if self.points.place_covariance.any():  # remove from the pixels what moves points beside their segments
+        if self.points.moving:  # remove from the pixels what moves points beside their segments
             p, R = start.p_world_joint, start.R_world_bone
             off = [self.points.displaced(camera, p, R)[:, part] for camera, part in cameras]
             shown = np.where(self.confidence[..., None] > 0, np.nan_to_num(np.concatenate(off, axis=1)), 0.0)
