@@ -115,8 +115,8 @@ def _human36m() -> Files:
 def _read_human36m(folder: Path) -> Any:
     both = [Human36M(folder, keypoints=kind) for kind in ("gt", "cpn_ft_h36m_dbb")]
     take = "S9", "Action 0"
-    seen = [data._archives.keypoints(*take, 0) for data in both]
-    return both[0]._archives.all_cameras, both[0]._archives.positions(*take), seen
+    seen = [data.keypoints(*take, 0) for data in both]
+    return both[0].all_cameras, both[0].positions(*take), seen
 
 
 @cache
@@ -312,7 +312,7 @@ READERS = (
     Reader(
         "dataset detections",
         lambda: {"S5_acting3_cam1.npz": npz(uv_px=UV[:, :2]), "landmarks.txt": b"Hips\nLeftArm\n"},
-        lambda d: read_detections(d, "S5", "acting3", 1, CAMERA, SKELETON),
+        lambda d: read_detections(d, "S5", "acting3", 1, CAMERA),
     ),
     # --- detectors
     Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), read_detector_file),
