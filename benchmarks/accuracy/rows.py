@@ -196,9 +196,7 @@ def solved(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequen
     """The joint-space solver's poses, and how it ended."""
     skeleton, solution = prepared.recording.skeleton, prepared.solution
     if solution is None:
-        solution = FragmentSolver(skeleton, 50, settings).solve(
-            prepared.sf2, prepared.recording.video, prepared.bone_imus
-        )
+        solution = FragmentSolver(skeleton, 50, settings).solve(prepared.sf2, prepared.keypoints, prepared.bone_imus)
     reports = solution.fragments
     facts = {
         "converged": float(np.mean([r.status is SolverStatus.CONVERGED for r in reports])),
