@@ -233,7 +233,7 @@ def detect(
 ) -> None:
     """Detect keypoints of people in a video or webcam.
 
-    Runs a detector on this machine: models of yours, or downloaded ones; needs the extra:
+    Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; needs the extra:
     pip install 'rtof-kin[video]'. Images are neither kept nor sent. OUT can be a recording's keypoints.
 
     Args:

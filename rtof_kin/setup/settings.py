@@ -35,7 +35,7 @@ class SetupSettings:
     """Whether the folder may show and name the video; otherwise the keypoints alone are kept."""
     model_dir: Path | None = None
     """Folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; default:
-    downloaded models."""
+    what is at hand, downloaded models, else MediaPipe."""
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 

@@ -1,6 +1,8 @@
 """`choose_detector`: the detector of people that is at hand, or one message that says what is missing.
 
-People and their 33 keypoints by MediaPipe's Pose Landmarker, with a ``.task`` file.
+People and their 33 keypoints by MediaPipe's Pose Landmarker. Older packages (0.10) contain its models, newer ones (1.x)
+need a ``.task`` file. Both are run in the same way: contained models are bundled, in memory, with what a bundle states
+beside them, the normalisation of images to [-1, 1] for the detector of people and to [0, 1] for the landmarks.
 
 People and their keypoints by ONNX models (RTMPose, RTMO; YOLOX, RTMDet), run by ``rtmlib``. The kind of a model follows
 from its inputs and outputs: RTMPose has outputs (K, x) and (K, y), RTMO has boxes and keypoints, a person detector
@@ -10,8 +12,10 @@ from its inputs and outputs: RTMPose has outputs (K, x) and (K, y), RTMO has box
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import os
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, Protocol
@@ -137,6 +141,22 @@ MOST_PEOPLE: Final = 4
 _DOUBLE = 0.4
 """Median distance of the points of two people, in sizes of one, below which they are the same. On two real
 videos of two people these were 0.5 and more apart, and two findings of one person rarely."""
+_WRITER = "mediapipe.tasks.python.metadata.metadata_writers.metadata_writer"
+_MODELS = {
+    "pose_detector.tflite": ("pose_detection/pose_detection.tflite", 127.5, 127.5),
+    "pose_landmarks_detector.tflite": ("pose_landmark/pose_landmark_full.tflite", 0.0, 255.0),
+}
+"""Name in a bundle -> file in the package, mean and standard deviation of its image."""
+
+
+def contained_models() -> dict[str, Path] | None:
+    """Return the models inside the installed package by their names in a bundle; None if it has none."""
+    found = importlib.util.find_spec("mediapipe")
+    if found is None or not found.submodule_search_locations:
+        return None
+    folder = Path(next(iter(found.submodule_search_locations))) / "modules"
+    files = {name: folder / file for name, (file, _, _) in _MODELS.items()}
+    return files if all(path.is_file() for path in files.values()) else None
 
 
 class MediaPipeDetector:
@@ -144,17 +164,20 @@ class MediaPipeDetector:
 
     points: int = 33
 
-    def __init__(self, model: str | Path, people: int = MOST_PEOPLE):
-        """Load a ``.task`` file; `FileFormatError` where it cannot be read, `RtofError` without MediaPipe."""
+    def __init__(self, model: str | Path | None = None, people: int = MOST_PEOPLE):
+        """Load a model, by default the ``.task`` file inside the package; `FileFormatError` where it cannot be read,
+        `RtofError` without MediaPipe, or where that has no model.
+        """
         self._mediapipe = optional("mediapipe", "mediapipe")
         tasks = optional("mediapipe.tasks.python", "mediapipe")
         vision = optional("mediapipe.tasks.python.vision", "mediapipe")
-        self.name = f"MediaPipe Pose Landmarker ({Path(model).name})"
-        if not Path(model).is_file():
+        self.name = "MediaPipe Pose Landmarker" + ("" if model is None else f" ({Path(model).name})")
+        if model is not None and not Path(model).is_file():
             raise FileFormatError(model, "there is no such model")
+        bundle = _bundle() if model is None else Path(model).read_bytes()
         try:
             options = vision.PoseLandmarkerOptions(
-                base_options=tasks.BaseOptions(model_asset_buffer=Path(model).read_bytes()),
+                base_options=tasks.BaseOptions(model_asset_buffer=bundle),
                 running_mode=vision.RunningMode.VIDEO,
                 num_poses=people,
             )
@@ -162,7 +185,7 @@ class MediaPipeDetector:
                 self._landmarker = vision.PoseLandmarker.create_from_options(options)
         except (RuntimeError, ValueError, OSError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise FileFormatError(model, f"not loaded: {reason}") from error
+            raise FileFormatError(model or "MediaPipe's own model", f"not loaded: {reason}") from error
         self._stamp_ms, self._started = -1, False
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
@@ -213,6 +236,21 @@ def _without_doubles(people: list[Person]) -> list[Person]:
     return kept
 
 
+def _bundle() -> bytes:
+    """Return the package's own models as a ``.task`` bundle."""
+    files = contained_models()
+    if files is None:
+        raise RtofError("this version of MediaPipe contains no model: give a .task file, or fetch one")
+    writer = optional(_WRITER, "mediapipe").MetadataWriter
+    bundle = io.BytesIO()
+    with zipfile.ZipFile(bundle, "w", zipfile.ZIP_STORED) as archive:
+        for name, path in files.items():
+            _, mean, sd = _MODELS[name]
+            described = writer.create(bytearray(path.read_bytes())).add_image_input([mean], [sd])
+            archive.writestr(name, bytes(described.populate()[0]))
+    return bundle.getvalue()
+
+
 class PersonDetector(Protocol):
     """Finds the people in consecutive images of one video and their keypoints."""
 
@@ -228,7 +266,7 @@ class PersonDetector(Protocol):
 
 def choose_detector(models: str | Path | None = None) -> PersonDetector:
     """Return the given detector (folder of .onnx files or with a .task file, or a .task file), else one of downloaded
-    models. Downloads nothing. `FileFormatError`: the models cannot be used; `RtofError`: no
+    models, else MediaPipe's own. Downloads nothing. `FileFormatError`: the models cannot be used; `RtofError`: no
     detector is at hand; the message has the commands that provide one.
     """
     if models is not None:
@@ -236,6 +274,8 @@ def choose_detector(models: str | Path | None = None) -> PersonDetector:
     for wanted in model_sets():
         if not wanted.missing and (folder := cached_models(wanted)) is not None:
             return _given(folder)
+    if contained_models() is not None:
+        return MediaPipeDetector()
     ways = [_way(wanted) for wanted in model_sets()]
     ways.append("your own .onnx or .task models: --model-dir DIR")
     ways.append("keypoints of another program: give their file instead of the video")

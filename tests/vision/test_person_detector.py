@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.machinery
 import socket
 import sys
 from pathlib import Path
@@ -16,15 +17,15 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.vision import person_detector
 from rtof_kin.vision.model_download import ModelFile, ModelSet, model_sets, models_folder
-from rtof_kin.vision.person_detector import MediaPipeDetector, OnnxDetector, choose_detector
+from rtof_kin.vision.person_detector import MediaPipeDetector, OnnxDetector, choose_detector, contained_models
 from rtof_kin.vision.video import detect_video
 
 
 class Loaded:
     """Stands for a detector; remembers its models."""
 
-    def __init__(self, models: Path):
-        self.name = models.name
+    def __init__(self, models: Path | None = None):
+        self.name = "own" if models is None else models.name
 
 
 @pytest.fixture
@@ -38,6 +39,7 @@ def offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RTOF_KIN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(person_detector, "OnnxDetector", Loaded)
     monkeypatch.setattr(person_detector, "MediaPipeDetector", Loaded)
+    monkeypatch.setattr(person_detector, "contained_models", lambda: None)
     monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: {"mediapipe"} & set(wanted.needs)))
 
 
@@ -65,12 +67,13 @@ def test_given_models_are_used_before_all_others(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.usefixtures("offline")
-def test_downloaded_models_are_used_where_they_can_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_downloaded_models_are_used_before_mediapipes_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(person_detector, "contained_models", lambda: {})
+    assert choose_detector().name == "own"
     tiny = cached(monkeypatch)
     assert choose_detector().name == "tiny"
     monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: wanted.needs))
-    with pytest.raises(RtofError, match="no detector"):
-        choose_detector()
+    assert choose_detector().name == "own"
     monkeypatch.undo()
     assert tiny.name not in [each.name for each in model_sets()]
 
@@ -130,12 +133,15 @@ class Landmarker:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of models, and modules that stand for the installed package."""
+    """A folder that stands for the installed package; without models inside."""
     Landmarker.made.clear()
     folder = tmp_path / "mediapipe"
     folder.mkdir()
     names = ("mediapipe", "mediapipe.tasks", "mediapipe.tasks.python", "mediapipe.tasks.python.vision")
     modules: dict[str, Any] = {name: ModuleType(name) for name in names}
+    spec = importlib.machinery.ModuleSpec("mediapipe", None, is_package=True)
+    spec.submodule_search_locations = [str(folder)]
+    modules["mediapipe"].__spec__ = spec
     modules["mediapipe"].ImageFormat = SimpleNamespace(SRGB="rgb")
     modules["mediapipe"].Image = lambda image_format, data: SimpleNamespace(format=image_format, data=data)
     modules["mediapipe.tasks.python"].BaseOptions = lambda model_asset_buffer: SimpleNamespace(
@@ -194,9 +200,12 @@ def test_a_model_that_cannot_be_used_is_named(package: Path, monkeypatch: pytest
     (package / "pose.task").write_bytes(b"damaged")
     with pytest.raises(FileFormatError, match="pose.task: not loaded: Unable to parse the bundle$"):
         MediaPipeDetector(package / "pose.task")
+    assert contained_models() is None
+    with pytest.raises(RtofError, match="contains no model: give a .task file, or fetch one"):
+        MediaPipeDetector()
     monkeypatch.setitem(sys.modules, "mediapipe", None)
     with pytest.raises(RtofError, match=r"mediapipe, which is not installed: .*rtof-kin\[mediapipe\]"):
-        MediaPipeDetector(package / "pose.task")
+        MediaPipeDetector()
 
 
 def test_native_messages_are_hidden_and_the_error_stream_comes_back(
