@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, fields, is_dataclass, replace
+from dataclasses import asdict, replace
 from math import cos, isfinite, log, pi
 from pathlib import Path
 from typing import Any, Final, Generic, Self, TypeVar
@@ -25,13 +25,12 @@ from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.training import losses
 from lifting.training.corpus import Corpus
 from lifting.training.data import Batch, MotionBank
-from lifting.training.distributed import Workers
 from lifting.training.losses import Validation
 from lifting.training.settings import TrainConfig, prior_of_corpus
 from lifting.windows import EncodedWindows, decode, encode, sizes
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SolverError
+from rtof_kin.core.errors import FileFormatError, RtofError, SolverError
 from rtof_kin.core.resources import lifter_path, model_path
 
 USUAL_RADIUS: Final = 0.4
@@ -80,57 +79,33 @@ class Prefetch(Generic[T]):
         return made
 
 
-def step_seed(seed: int, step: int, part: int = 0) -> int:
+def step_seed(seed: int, step: int) -> int:
     """Return the seed of one step, so that a resumed training draws what an uninterrupted one does."""
-    return seed * 1_000_003 + step + part * 2_654_435_761  # a CPU generator uses the lower 32 bits
-
-
-def rows(batch: Any, which: slice) -> Any:
-    """Select rows of the tensors (B, ...) in a dataclass, such as `Batch`, and in its dataclasses."""
-    if isinstance(batch, Tensor):
-        return batch[which]
-    if not is_dataclass(batch) or isinstance(batch, type):
-        return batch
-    return replace(batch, **{f.name: rows(getattr(batch, f.name), which) for f in fields(batch)})
+    return seed * 1_000_003 + step
 
 
 class Run:
     """A training in progress."""
 
-    def __init__(self, config: TrainConfig, corpus: Corpus, workers: Workers):
-        """Prepare the first step.
-
-        Raises:
-            InvalidInputError: the corpus has no training clip; processes cannot share a batch or have
-                different motion or settings.
-        """
-        self.config, self.workers, self.digest = config, workers, corpus.digest()
-        self.prior = prior_of_corpus(corpus, config.prior) if workers.first else None
+    def __init__(self, config: TrainConfig, corpus: Corpus):
+        """Prepare the first step; raise `InvalidInputError` where the corpus has no training clip."""
+        self.config, self.digest, self.device = config, corpus.digest(), torch.device(config.device)
+        self.prior = prior_of_corpus(corpus, config.prior)
         self.corpus = corpus = corpus.in_shared_frames()
         self.body = corpus.body()
-        if config.batch % workers.count:
-            raise InvalidInputError(
-                f"training: a batch of {config.batch} windows cannot be shared evenly by "
-                f"{workers.count} processes; choose a multiple"
-            )
-        workers.check_same("motion", self.digest)
-        workers.check_same("setting", config.fixed())
         torch.manual_seed(config.seed)
         layers = config.filter_widths, config.channels, config.dropout
         shape = NetworkConfig(*sizes(self.body), *layers, config.causal)
-        self.network = TemporalNetwork(shape).to(workers.device)
+        self.network = TemporalNetwork(shape).to(self.device)
         with torch.no_grad():
             self.network.shrink.bias.copy_(first_answer(self.body))
         self.optimizer = AdamW(self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
-        self.averaged = TemporalNetwork(shape).to(workers.device).eval()
+        self.averaged = TemporalNetwork(shape).to(self.device).eval()
         self.averaged.load_state_dict(self.network.state_dict())
-        self.forward = workers.forward(self.network)
         others = corpus.skeletons("train", config.skeletons) + shipped_skeleton(corpus)
-        self.bank = MotionBank(corpus, corpus.clips("train"), workers.device, others)
+        self.bank = MotionBank(corpus, corpus.clips("train"), self.device, others)
         self.size = self.network.receptive_field()
-        self.validation: Validation | None = None
-        if workers.first:
-            self.validation = Validation(corpus, self.size, workers.device, config.validation_windows, config.causal)
+        self.validation = Validation(corpus, self.size, self.device, config.validation_windows, config.causal)
         self.batches = Prefetch(self._draw)
         self.started_from = ""
         self.steps, self.seconds, self.validated = 0, 0.0, 0
@@ -138,15 +113,11 @@ class Run:
         self.history: list[dict[str, Any]] = []
 
     def _draw(self, step: int) -> tuple[Batch, EncodedWindows]:
-        """This process's windows of a step, which depend on the seed and the step alone."""
-        config, rank, count = self.config, self.workers.rank, self.workers.count
-        whole = config.same_windows
+        """The windows of a step, which depend on the seed and the step alone."""
+        config = self.config
         generator = torch.Generator(self.bank.device)
-        generator.manual_seed(step_seed(config.seed, step, 0 if whole else rank))
-        size = config.batch if whole else config.batch // count
-        batch = self.bank.draw(size, self.size, config.augment, generator, causal=config.causal)
-        if whole and count > 1:
-            batch = rows(batch, slice(rank, None, count))
+        generator.manual_seed(step_seed(config.seed, step))
+        batch = self.bank.draw(config.batch, self.size, config.augment, generator, causal=config.causal)
         return batch, encode(self.bank.body, batch.windows)
 
     @property
@@ -160,13 +131,13 @@ class Run:
     def step(self) -> None:
         """Learn from one batch."""
         start = time.perf_counter()
-        config, workers = self.config, self.workers
-        torch.manual_seed(step_seed(config.seed, self.steps, workers.rank))  # of dropout
+        config = self.config
+        torch.manual_seed(step_seed(config.seed, self.steps))  # of dropout
         batch, encoded = self.batches(self.steps)
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * self._rate_factor()
-        with torch.autocast(workers.device.type, torch.bfloat16, enabled=config.bfloat16):
-            output = self.forward(encoded.features, encoded.constants)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=config.bfloat16):
+            output = self.network(encoded.features, encoded.constants)
         estimate = decode(self.body, output, encoded)
         self.optimizer.zero_grad(set_to_none=True)
         losses.lifting_loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
@@ -175,7 +146,7 @@ class Run:
         self._average()
         self.losses.append(losses.position_loss(estimate, batch).detach())
         self.steps += 1
-        self._spend(start)
+        self.seconds += time.perf_counter() - start
 
     def _rate_factor(self) -> float:
         """Factor on the learning rate: linear warm-up, then a cosine to 0."""
@@ -183,11 +154,6 @@ class Run:
         if share < warm_up:
             return max(share / warm_up, 0.01)
         return 0.5 * (1 + cos(pi * min((share - warm_up) / (1 - warm_up), 1.0)))
-
-    def _spend(self, start: float) -> None:
-        """Count the time since `start`, by the first process's clock."""
-        seconds = self.seconds + time.perf_counter() - start
-        self.seconds = self.workers.from_first(lambda: seconds)
 
     @torch.no_grad()
     def _average(self) -> None:
@@ -198,7 +164,7 @@ class Run:
         torch._foreach_lerp_([mean[k] for k in floats], [new[k] for k in floats], 1 - keep)
 
     def report(self) -> dict[str, Any] | None:
-        """Return the report after this step, None if it has none; the first process validates.
+        """Return the report after this step, None if it has none.
 
         Raises:
             SolverError: the training diverged.
@@ -207,7 +173,7 @@ class Run:
         due = int(self.share_done * config.validations) > self.validated or self.share_done >= 1
         if not due and self.steps % config.report_every:
             return None
-        loss = float(self.workers.mean(torch.stack(self.losses).mean()))
+        loss = float(torch.stack(self.losses).mean())
         if not isfinite(loss):
             raise SolverError(
                 f"training diverged after {self.steps} steps (the loss is {loss}); delete the state "
@@ -225,10 +191,9 @@ class Run:
             start = time.perf_counter()
             self.validated = int(self.share_done * config.validations)
             self.losses = []
-            if self.validation is not None:
-                report["validation"] = self.validation.measure(self.averaged)
-                self.history.append(report)
-            self._spend(start)
+            report["validation"] = self.validation.measure(self.averaged)
+            self.history.append(report)
+            self.seconds += time.perf_counter() - start
         return report
 
     def facts(self) -> dict[str, Any]:
@@ -240,7 +205,6 @@ class Run:
             "frames_of_motion": len(self.bank),
             "corpus_sha256": self.digest,
             "started_from_sha256": self.started_from,
-            "processes": self.workers.count,
             "torch": torch.__version__.split("+")[0],
         }
 
@@ -276,8 +240,8 @@ class Run:
         Raises:
             FileFormatError: it is not a lifter, or does not fit.
         """
-        path = self.workers.from_first(lambda: lifter_path(lifter))
-        network, description = self.workers.from_first(lambda: checkpoint.load_checkpoint(path))
+        path = lifter_path(lifter)
+        network, description = checkpoint.load_checkpoint(path)
         other = description.network
         mine = replace(self.network.config, causal=other.causal, dropout=other.dropout)
         if other != mine or description.body.names != self.body.names:
@@ -289,28 +253,16 @@ class Run:
             )
         for own in (self.network, self.averaged):
             own.load_state_dict(network.state_dict())
-        self.started_from = self.workers.from_first(lambda: hashlib.sha256(path.read_bytes()).hexdigest())
+        self.started_from = hashlib.sha256(path.read_bytes()).hexdigest()
 
     def restore(self, path: Path) -> None:
-        """Resume from a state file if the first process has one.
+        """Resume from a state file if there is one.
 
         Raises:
             FileFormatError: it cannot be read, or belongs to other settings or motion.
         """
-        state = self.workers.from_first(lambda: self._read(path) if path.exists() else None)
-        if state is None:
+        if not path.exists():
             return
-        with _readable(path):
-            self.network.load_state_dict(state["network"])
-            self.averaged.load_state_dict(state["averaged"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.steps, self.seconds = state["steps"], state["seconds"]
-            self.validated, self.history = state["validated"], state["history"]
-            self.started_from = state["started_from"]
-            self.losses = [torch.tensor(x, device=self.workers.device) for x in state["losses"]]
-
-    def _read(self, path: Path) -> dict[str, Any]:
-        """Read a state file of this training."""
         with _readable(path):
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != self.config.fixed():
@@ -319,7 +271,13 @@ class Run:
                 raise FileFormatError(
                     path, "belongs to a training on other motion; give that motion, delete it or do not resume"
                 )
-        return state
+            self.network.load_state_dict(state["network"])
+            self.averaged.load_state_dict(state["averaged"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.steps, self.seconds = state["steps"], state["seconds"]
+            self.validated, self.history = state["validated"], state["history"]
+            self.started_from = state["started_from"]
+            self.losses = [torch.tensor(x, device=self.device) for x in state["losses"]]
 
 
 @contextmanager

@@ -78,7 +78,7 @@ class TrainConfig:
     filter_widths: tuple[int, ...] = (3, 3, 3)  #: Frames seen by each convolution; their product is the receptive field
     channels: int = 256  #: Width of the network
     dropout: float = 0.0  #: Share of hidden values dropped
-    batch: int = 512  #: Windows per step, of all processes together
+    batch: int = 512  #: Windows per step
     learning_rate: float = 2e-3  #: Largest step of the optimiser
     weight_decay: float = 0.01  #: AdamW's, per unit of learning rate
     warm_up: float = 0.02  #: Share of the training in which the rate rises from 0, before it falls as a cosine
@@ -96,9 +96,6 @@ class TrainConfig:
     augment: AugmentConfig = field(default_factory=AugmentConfig)  #: Distributions of the windows
     prior: PriorChoice = "auto"  #: Pose prior that is learned beside, see `prior_of_corpus`
     deterministic: bool = False  #: Whether results are bit-identical on a GPU too; requires `windows` and no `minutes`
-    same_windows: bool = False
-    """Whether several processes share the windows that one would draw (same loss curve up to rounding,
-    slower drawing) instead of drawing their own."""
 
     def __post_init__(self) -> None:
         if self.windows is None and self.minutes is None:

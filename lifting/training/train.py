@@ -1,7 +1,6 @@
 """Training of a lifter.
 
-``rtof-kin train`` calls `train`; ``torchrun`` starts it in several processes. Settings are in `settings`,
-a step in `run`.
+``rtof-kin train`` calls `train`. Settings are in `settings`, a step in `run`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import torch
 
 from lifting.model import torch_threads
 from lifting.training.corpus import Corpus, read_corpus
-from lifting.training.distributed import workers
 from lifting.training.run import Run
 from lifting.training.settings import TrainConfig
 from rtof_kin.core.files.folder import check_new_file, new_file
@@ -116,8 +114,7 @@ def train(
     """Train a lifter on the training subjects and validate it on the validation subjects.
 
     Writes ``<out>``, ``<out>.state`` to resume from, ``<out>.curves.json`` and ``<out>.curves.png``; an
-    exception, also one of `progress`, saves the state and the curves first. Processes that ``torchrun``
-    started train together: all read the corpus, the first one writes and calls `progress`.
+    exception, also one of `progress`, saves the state and the curves first.
 
     Args:
         corpus: motion, or the folder or .npz file to read it from. progress: see `Progress`.
@@ -127,7 +124,7 @@ def train(
 
     Raises:
         OutputExistsError: a lifter or a state exists, and neither `resume` nor `overwrite` was given.
-        InvalidInputError: no training clip; processes differ or cannot share a batch.
+        InvalidInputError: no training clip.
         SolverError: the training diverged.
         FileFormatError: the corpus, the lifter to start from or the state cannot be read or does not fit.
     """
@@ -138,8 +135,8 @@ def train(
         check_new_file(file, overwrite)
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
-    with _own_randomness(config.deterministic), torch_threads(1), workers(config.device) as team:
-        run = Run(config, corpus, team)
+    with _own_randomness(config.deterministic), torch_threads(1):
+        run = Run(config, corpus)
         if start is not None:
             run.start(start)
         if resume:
@@ -149,15 +146,14 @@ def train(
                 while run.share_done < 1:
                     run.step()
                     report = run.report()
-                    if report and team.first and "validation" in report:
+                    if report and "validation" in report:
                         run.save(state_file)
-                    if report and team.first and progress:
+                    if report and progress:
                         progress(report)
         finally:
-            if team.first:
-                run.save(state_file)
-                write_curves(out, run.facts(), run.history)
-        return team.from_first(lambda: run.save_lifter(out, overwrite))
+            run.save(state_file)
+            write_curves(out, run.facts(), run.history)
+        return run.save_lifter(out, overwrite)
 
 
 @contextmanager

@@ -76,7 +76,7 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def job_progress(what: str = "measuring", shown: bool = True) -> Iterator[Callable[[int, int, str], None]]:
+def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], None]]:
     """Show a bar over jobs with the time that remains, and a line for each that fails or is skipped; yields a function
     of (done, in all, last event).
     """
@@ -87,7 +87,7 @@ def job_progress(what: str = "measuring", shown: bool = True) -> Iterator[Callab
         TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
     )
-    bar = Progress(*columns, console=err, speed_estimate_period=_LONG, disable=not shown)
+    bar = Progress(*columns, console=err, speed_estimate_period=_LONG)
     task = bar.add_task("jobs", total=None, last="")
 
     def update(done: int, total: int, last: str) -> None:

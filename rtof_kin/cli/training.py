@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -38,7 +37,7 @@ def train(
         dict[str, Any],
         Fields(
             "windows minutes channels dropout causal prior batch learning_rate weight_decay ema bfloat16 "
-            "validation_windows device seed deterministic same_windows",
+            "validation_windows device seed deterministic",
             of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),
@@ -50,8 +49,7 @@ def train(
     CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by subject once and for
     all. Or train on a dataset that you have: Total Capture's paper split (S1-S3 without the test takes) or Human3.6M's
     (S1, S5-S8). Such weights are yours to keep, under the dataset's terms; --model takes the file in every command.
-    Several processes or machines: torchrun --nproc-per-node 2 -m rtof_kin.cli train ... A training ends at
-    --windows or --minutes, after 45 minutes without either.
+    A training ends at --windows or --minutes, after 45 minutes without either.
 
     Args:
         corpus: folder, or .npz made from one
@@ -73,7 +71,7 @@ def train(
     takes = _corpus(corpus, total_capture, human36m)
     text = "{task.fields[note]}"
     columns = TextColumn("training"), BarColumn(), TextColumn(text)
-    with Progress(*columns, console=err, disable=not _first()) as progress:
+    with Progress(*columns, console=err) as progress:
         task = progress.add_task("training", total=1.0, note="")
 
         def update(report: Mapping[str, Any]) -> None:
@@ -87,18 +85,10 @@ def train(
         try:
             path = learn(config, takes, output, update, resume, initial, overwrite)
         except KeyboardInterrupt:
-            if _first():
-                where = f"{output}.state; curves so far: {figure_file(output)}"
-                remark(f"--resume continues from {where}")
+            remark(f"--resume continues from {output}.state; curves so far: {figure_file(output)}")
             raise
-    if _first():
-        say(f"wrote {path}")
-        say(f"curves: {figure_file(path)}")
-
-
-def _first() -> bool:
-    """Whether this is the process that prints, of those that ``torchrun`` started."""
-    return os.environ.get("RANK", "0") == "0"
+    say(f"wrote {path}")
+    say(f"curves: {figure_file(path)}")
 
 
 def _corpus(corpus: Path | None, total_capture: Path | None, human36m: Path | None) -> Corpus | str:
@@ -109,7 +99,7 @@ def _corpus(corpus: Path | None, total_capture: Path | None, human36m: Path | No
         raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")
     if corpus is not None:
         return str(corpus)
-    with job_progress("reading", shown=_first()) as update:
+    with job_progress("reading") as update:
         if total_capture is not None:
             return total_capture_corpus(total_capture, update)
         assert human36m is not None
