@@ -1,4 +1,4 @@
-"""The table ``[imus]`` of a recording: samples of sensors, of this package's own files or of the maker's, and calibration.
+"""The table ``[imus]`` of a recording: samples of sensors in files of this package or of makers, and calibration.
 
 The format is described in docs/recording.md and docs/sensors.md.
 """
