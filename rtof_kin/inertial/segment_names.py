@@ -2,11 +2,13 @@
 
 A name is split into words: ``tibia_r_imu``, ``RTibia``, ``right shank``, ``Shank RT``, ``R_LowLeg`` and
 ``RightLeg`` are the same segment. A word that is not known makes the whole name unknown: nothing is guessed.
+``segment_names.toml`` has the words.
 """
 
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -15,41 +17,13 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import UnknownNameError
 
 
-def _by_word(words: dict[str, str]) -> dict[str, str]:
+def _by_word(words: dict[str, list[str]]) -> dict[str, str]:
     """Word, or words, -> what they mean."""
-    return {word: meaning for meaning, given in words.items() for word in given.split(", ")}
+    return {word: meaning for meaning, given in words.items() for word in given}
 
 
-_SIDES: Final = _by_word({"Left": "left, l, lt, lft", "Right": "right, r, rt, rgt"})
-_MIDDLE: Final = _by_word(
-    {
-        "Hips": "pelvis, hip, hips, sacrum, waist, s1",
-        "Spine": "l5, lumbar, low back, low spine",
-        "Spine1": "l3",
-        "Spine2": "t12",
-        "Spine3": "chest, sternum, torso, thorax, trunk, up back, up spine, up trunk, t8, c7",
-        "Neck": "neck",
-        "Head": "head",
-    }
-)
-"""Words -> joint of the skeleton total_capture."""
-_LIMBS: Final = _by_word(
-    {
-        "UpLeg": "thigh, femur, up leg",
-        "Leg": "shank, tibia, low leg, calf, shin",
-        "Foot": "foot, calcn, calcaneus, instep",
-        "Shoulder": "clavicle, collar, scapula, shoulder",
-        "Arm": "up arm, humerus, biceps",
-        "ForeArm": "forearm, fore arm, low arm, ulna, radius, wrist",
-        "Hand": "hand, metacarpal",
-    }
-)
-"""Words -> joint of the skeleton total_capture without its side."""
-_HUMAN36M: Final = _by_word(
-    {"Hip": "Hips, UpLeg", "Thorax": "Spine3", "Neck": "Neck", "Head": "Head", "Knee": "Leg", "Foot": "Foot"}
-    | {"Shoulder": "Arm", "Elbow": "ForeArm", "Wrist": "Hand"}
-)
-"""Joint of total_capture -> of human36m; the others of the spine are not the same segments there."""
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_SIDES, _MIDDLE, _LIMBS, _HUMAN36M = (_by_word(_TABLES[name]) for name in ("sides", "middle", "limbs", "human36m"))
 _SAME: Final = {"upper": "up", "lower": "low"}
 _IDLE = frozenset({"imu", "sensor", "segment"})  # Words that say nothing about the place
 _SERIAL: Final = re.compile(r"(?=.*\d)[0-9A-Fa-f]{8}")

@@ -33,11 +33,10 @@ from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
-from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.labels import Session
-from rtof_kin.recording.sensor_files import IMUS, imu_arrays
+from rtof_kin.recording.sensor_files import IMUS, calibration_table, imu_arrays
 from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming
 from rtof_kin.vision.layouts import is_detector_point
 

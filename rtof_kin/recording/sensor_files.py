@@ -1,4 +1,4 @@
-"""The table ``[imus]`` of a recording: samples of sensors, of this package's own files or of the maker's.
+"""The table ``[imus]`` of a recording: samples of sensors in files of this package or of makers, and calibration.
 
 The format is described in docs/recording.md and docs/sensors.md.
 """
@@ -17,18 +17,17 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import CHOICES, SensorLog
-from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.formats.sensors.files import format_of, read_sensor_log
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.formats.sensors.sensor_text import cells
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.streams import ALL, Source, Stream, csv_names, data_path, naming, needed, times_of
-from rtof_kin.recording.tables import OF_MAKERS, ImusTable
+from rtof_kin.recording.tables import OF_MAKERS, ImusTable, SensorTable
 
 IMUS: Final = "imus.npz"  #: File of a recording's sensors that this package writes
 _QUATERNION_TOLERANCE: Final = 1e-3
@@ -91,6 +90,74 @@ def _opened(
             return ImuSequence(times[rows], R, own["f_sensor"], names, unit_checked=rows != ALL)
 
     return names, Stream(times, part)
+
+
+# --- calibration of sensors on their segments -----------------------------------------------------
+
+
+def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) -> ImuCalibration | None:
+    """Return the calibration in the tables of sensors by name; None without any. Segment and position default to those
+    of the skeleton table's sensor of that name.
+
+    Raises:
+        FileFormatError: a missing or invalid field, which is named. UnknownNameError: unknown segment.
+    """
+    joints, levers = [], []
+    for name, own in sensors.items():
+        usual_joint, usual_lever = skeleton.sensors.get(name, (None, None))
+        joint = usual_joint if own.joint is None else own.joint
+        if joint is None:
+            raise own.error("joint", 'missing; add e.g. joint = "..."')
+        if joint not in skeleton.names:
+            raise UnknownNameError("joint", [joint], skeleton.names, own.path, own.where("joint"))
+        lever = usual_lever if own.lever_arm_m is None and joint == usual_joint else own.lever_arm_m
+        if lever is None:
+            raise own.error("lever_arm_m", "missing; add 3 numbers")
+        joints.append(joint)
+        levers.append(lever)
+    if not joints:
+        return None
+    tables = sensors.values()
+    stated = [own.mounting_sd_deg for own in tables]
+    try:
+        return ImuCalibration(
+            sensors=tuple(sensors),
+            joints=tuple(joints),
+            R_world_inertial=np.array([_rotation(own, "world_inertial") for own in tables]),
+            R_sensor_bone=np.array([_rotation(own, "sensor_bone") for own in tables]),
+            p_bone_sensor=np.array(levers),
+            mounting_sd_deg=None if set(stated) == {None} else np.array(stated, dtype=np.float64),
+        )
+    except (CalibrationError, InvalidInputError) as error:
+        raise FileFormatError(next(iter(tables)).path, str(error)) from error
+
+
+def _rotation(table: SensorTable, frames: str) -> Array:
+    """Return a rotation from the matrix ``R_<frames>`` or from ``quat_wxyz_<frames>``."""
+    quat: Array | None = getattr(table, f"quat_wxyz_{frames}")
+    if quat is None:
+        return np.asarray(getattr(table, f"R_{frames}"))
+    norm = float(np.linalg.norm(quat))
+    if abs(norm - 1) > _QUATERNION_TOLERANCE:
+        raise table.error(f"quat_wxyz_{frames}", f"has norm {norm:.6g}, not 1; normalise it")
+    return so3.from_quat_wxyz(quat)
+
+
+def calibration_table(calibration: ImuCalibration) -> dict[str, Any]:
+    """Return the tables of the sensors, by name, which `calibration_of` reads back to the same bits."""
+    tables: dict[str, Any] = {
+        name: {
+            "joint": calibration.joints[s],
+            "lever_arm_m": calibration.p_bone_sensor[s].tolist(),
+            "R_world_inertial": calibration.R_world_inertial[s].tolist(),
+            "R_sensor_bone": calibration.R_sensor_bone[s].tolist(),
+        }
+        for s, name in enumerate(calibration.sensors)
+    }
+    if calibration.mounting_sd_deg is not None:
+        for own, sd in zip(tables.values(), calibration.mounting_sd_deg, strict=True):
+            own |= {} if np.isnan(sd) else {"mounting_sd_deg": float(sd)}
+    return tables
 
 
 # --- files of sensors' makers --------------------------------------------------------------------

@@ -38,7 +38,6 @@ from rtof_kin.data.imu_stream import (
     OrientationMaps,
     QuaternionOrder,
 )
-from rtof_kin.formats.imu_calibration_toml import SensorTable
 from rtof_kin.formats.world_axes import UP
 from rtof_kin.inertial.orientation import HELD
 from rtof_kin.vision.layouts import detector_table
@@ -264,6 +263,44 @@ class ViewTable(InputTable):
     """As the first camera."""
     keypoints: KeypointsTable
     """As those of the first camera, in another file."""
+
+
+def _one_rotation(frames: str) -> tuple[Rule, Rule]:
+    """Return the rules that a rotation is given once, as a matrix or as a quaternion."""
+    matrix, quat = f"R_{frames}", f"quat_wxyz_{frames}"
+    one = f"give one of {matrix} (3 x 3) and {quat} (4 numbers)"
+    return (
+        Rule(f"stands beside {matrix}; {one}", given=(matrix,), excluded=(quat,)),
+        Rule(f"missing; {one}", absent=(matrix, quat), required=(matrix,)),
+    )
+
+
+class SensorTable(InputTable):
+    """Calibration of a sensor on its segment."""
+
+    joint: Annotated[str, Field(examples=["LeftArm"])] | None = None
+    """Proximal joint of its segment; may be left out for sensors of the skeleton's table."""
+    lever_arm_m: Vector3 | None = None
+    """Sensor in the bone's frame, m; may be left out as `joint`."""
+    R_world_inertial: Matrix3 | None = None
+    """Rotation from the sensor's own reference to world."""
+    quat_wxyz_world_inertial: Quaternion | None = None
+    """The same as a unit quaternion."""
+    R_sensor_bone: Matrix3 | None = None
+    """Rotation from the bone to the sensor."""
+    quat_wxyz_sensor_bone: Quaternion | None = None
+    """The same as a unit quaternion."""
+    mounting_sd_deg: (
+        Annotated[
+            float,
+            Field(ge=0, le=180),
+            explained_by("is no standard deviation of an angle; give degrees, or leave it out"),
+        ]
+        | None
+    ) = None
+    """Standard deviation of the rotation from the bone to the sensor about each axis, deg; angles carry it. Left out
+    where not known."""
+    rules = (*_one_rotation("world_inertial"), *_one_rotation("sensor_bone"))
 
 
 class ImusTable(InputTable):

@@ -24,13 +24,12 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.segment_names import known_segment, segments_of
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, calibrate_recording
-from rtof_kin.recording.sensor_files import IMUS, imus_of_log
+from rtof_kin.recording.sensor_files import IMUS, calibration_table, imus_of_log
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
 _STILL = np.radians(8.0)  # [rad/s] 95th percentile of the angular speed below which a sensor does not move

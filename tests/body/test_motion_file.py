@@ -13,8 +13,17 @@ import planted
 import pytest
 from scene_support import walking
 
-from rtof_kin.body.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, packed
-from rtof_kin.body.motion_file import ABOUT, MotionReader, MotionWriter, write_motion
+from rtof_kin.body.motion_file import (
+    ABOUT,
+    COLUMNS,
+    NODE_SPACING,
+    NODE_TOLERANCE,
+    ROWS,
+    MotionReader,
+    MotionWriter,
+    packed,
+    write_motion,
+)
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -89,7 +98,7 @@ def test_confidence_is_read_back(tmp_path: Path, confident: Motion) -> None:
     for field in ("position_covariance", "relative_covariance", "turn_covariance"):
         exact, found = getattr(given, field), getattr(read, field)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(exact))
-        np.testing.assert_allclose(per_axis(found), per_axis(exact), rtol=TOLERANCE)
+        np.testing.assert_allclose(per_axis(found), per_axis(exact), rtol=NODE_TOLERANCE)
 
 
 @pytest.mark.parametrize(
@@ -253,10 +262,10 @@ def test_covariances_are_near_and_unknown_where_they_were(walk: Motion, tmp_path
     for name in ("position_covariance", "relative_covariance", "turn_covariance"):
         a, b = getattr(found, name), getattr(exact, name)
         np.testing.assert_array_equal(np.isnan(a), np.isnan(b), name)
-        np.testing.assert_allclose(per_axis(a), per_axis(b), rtol=TOLERANCE + 0.004, err_msg=name)
+        np.testing.assert_allclose(per_axis(a), per_axis(b), rtol=NODE_TOLERANCE + 0.004, err_msg=name)
     arrays = read_arrays(tmp_path / "m.h5")
     at = arrays["covariance_frames"]
-    assert np.diff(at).max() <= SPACING
+    assert np.diff(at).max() <= NODE_SPACING
     assert {139, 140} <= set(at.tolist())  # the jump
     assert {49, 50, 76, 77, 32, 33, 34} <= set(at.tolist())
 

@@ -17,11 +17,10 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import MissingPackageError, SourceError
 from rtof_kin.data.imu_stream import Declaration
 from rtof_kin.live import lsl
-from rtof_kin.live.feed import Feed
 from rtof_kin.live.lsl import LslFrameSource, LslImuSource
 from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
-from rtof_kin.live.session import LiveSession
+from rtof_kin.live.session import Feed, LiveSession
 from rtof_kin.recording.recording import Recording
 
 ONE = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")

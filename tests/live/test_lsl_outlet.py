@@ -13,7 +13,7 @@ from lsl_support import DEADLINE_S, unique, until
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.live.lsl_outlet import LslOutlet, channels
+from rtof_kin.live.open_sources import LslOutlet, channels
 from rtof_kin.live.samples import OnlineEstimate
 
 BODY = SkeletonModel.default()

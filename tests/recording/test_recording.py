@@ -103,16 +103,24 @@ def full_recording() -> Recording:
     moving = planted.moving(SKELETON.with_height(1.65), T)
     base = planted.recording(moving, sigma_px=2.0)
     assert base.imus is not None
+    assert base.calibration is not None
     assert base.truth is not None
     uv, R, f = (np.array(a) for a in (base.keypoints.uv_px, base.imus.R_inertial_sensor, base.imus.f_sensor))
     uv[3, 4], R[2, 1], f[5, 0] = np.nan, np.nan, np.nan
     confidence = np.random.default_rng(2).uniform(0.1, 1, uv.shape[:2])
+    sensors = len(base.imus.names)
+    calibration = replace(
+        base.calibration,
+        R_sensor_bone=so3.exp(np.random.default_rng(3).standard_normal((sensors, 3))),
+        mounting_sd_deg=np.where(np.arange(sensors) == 1, np.nan, 6.1),  # where it is known
+    )
     camera = replace(base.keypoints.camera, distortion=[0.01, 1e-3, -2e-4, 1e-17, 0.3])
     keypoints = replace(base.keypoints, camera=camera, uv_px=uv, confidence=confidence)
     return replace(
         base,
         name='a "quoted" name, ünïcode',
         keypoints=keypoints,
+        calibration=calibration,
         imus=replace(base.imus, times=base.imus.times + 1 / 30, R_inertial_sensor=R, f_sensor=f),
         joint_offsets=moving.skeleton.joint_offsets * np.pi / 3,
         bone_lengths={"LeftLeg": float(moving.skeleton.bone_lengths["LeftLeg"] * np.pi / 3)},

@@ -14,9 +14,10 @@ from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.detector_error_table import Covariance, detector_error_table
 from rtof_kin.simulation.detector_errors import (
+    Covariance,
     DetectorErrors,
+    detector_error_table,
     episodes,
     ornstein_uhlenbeck,
     self_occluded,

@@ -12,7 +12,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.canvas import Box
-from rtof_kin.view.face import FaceFinder, FaceRegion, pixelate
+from rtof_kin.view.painter import FaceFinder, FaceRegion, pixelate
 from rtof_kin.view.projected_motion import Moment, ProjectedMotion
 
 CAMERA = upright_camera(640, 480)
