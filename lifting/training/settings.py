@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 
@@ -21,7 +21,6 @@ PriorChoice = Literal["auto", "even", "own", "none"]
 """Pose prior of a training. even: for several rigs; own: the trunk of the one rig; auto: one of the
 two, by the skeletons; none: no prior, the shipped one is used."""
 LEAST_FRAMES: Final = 30  #: Frames of the shortest clip that a prior is fitted to
-PRIORS: Final = get_args(PriorChoice)
 
 
 def prior_of_corpus(corpus: Corpus, choice: PriorChoice = "auto") -> PosePrior | None:

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 
@@ -86,7 +86,6 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
 
 
 By = Literal["time", "cycle", "repetition", "range"]
-BYS: Final[tuple[By, ...]] = get_args(By)
 LEAST_SHARE: Final = 0.1  #: Smallest share of the common frames, or of all repeats, with which an angle is compared
 LEAST_OF_RANGE: Final = 0.8
 """Smallest share of the common frames with which a range in time is tested: gaps are where angles are largest

@@ -275,7 +275,10 @@ def _check_metadata(path: Path, metadata: Any) -> None:
     given = metadata if isinstance(metadata, dict) else {}
     layout, points = given.get("layout_name", "h36m"), given.get("num_joints")
     sides = given.get("keypoints_symmetry")
-    ours = isinstance(sides, list | tuple) and [list(side) for side in sides] == _SYMMETRY
+    try:
+        ours = [[int(i) for i in side] for side in sides or ()] == _SYMMETRY
+    except (TypeError, ValueError):
+        ours = False
     if points != 17 or layout != "h36m" or not ours:
         raise FileFormatError(
             path,

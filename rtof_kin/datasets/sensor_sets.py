@@ -41,7 +41,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.input_table import InputTable, Number
-from rtof_kin.core.files.text import load_json, measurable, read_text
+from rtof_kin.core.files.text import load_json, measurable, numbers_of, read_text
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.public_sets import (
     Movement,
@@ -315,16 +315,12 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
     rows: dict[str, list[list[float]]] = {name: [] for name in sensors}
     for number, line in enumerate(lines[1:], 2):
         name, *cells = line.split(",")
-        try:
-            if line.strip():
-                rows[name].append([float(cell) for cell in cells[: len(header) - 1]])
-        except (KeyError, ValueError) as error:
-            expected = f"one of {', '.join(sensors)} and {len(header) - 1} numbers"
-            raise FileFormatError(path, f"expected {expected}, found {line[:60]!r}", number) from error
-    try:
-        found = {name: np.array(own, dtype=float).reshape(-1, len(header) - 1) for name, own in rows.items()}
-    except ValueError as error:
-        raise FileFormatError(path, f"not {len(header)} cells in every line: cut off?") from error
+        if line.strip():
+            numbers = numbers_of(path, number, cells, len(header) - 1, gaps=True)
+            if name not in rows:
+                raise FileFormatError(path, f"expected one of {', '.join(sensors)}, found {name[:60]!r}", number)
+            rows[name].append(numbers)
+    found = {name: np.array(own, dtype=float) for name, own in rows.items()}
     if short := [name for name, own in found.items() if len(own) < 3]:
         raise FileFormatError(path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?")
     if not all(measurable(own) for own in found.values()):

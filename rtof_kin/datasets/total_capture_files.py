@@ -120,12 +120,14 @@ def walk(root: Path) -> Iterator[Path]:
     """Yield the files below a folder, without hidden ones; links are followed, but not to a folder above them."""
     for place, folders, names in os.walk(root, followlinks=True):
         above = os.path.join(os.path.realpath(place), "")
+        through = {os.path.realpath(folder) for folder in (Path(place), *Path(place).parents)}  # links to each other
         folders[:] = [
             name
             for name in folders
             if not name.startswith(".")
             and name != "__MACOSX"
-            and not above.startswith(os.path.join(os.path.realpath(os.path.join(place, name)), ""))
+            and (real := os.path.realpath(os.path.join(place, name))) not in through
+            and not above.startswith(os.path.join(real, ""))
         ]
         yield from (path for name in names if not name.startswith(".") and (path := Path(place, name)).is_file())
 

@@ -227,6 +227,8 @@ def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
         for row in reader:
             if None in row or None in row.values():
                 raise FileFormatError(path, f"more or fewer cells than the {len(header)} columns", reader.line_num)
+            if not any(map(str.strip, row.values())):
+                continue
             name = row["variable"].strip()
             if name not in NAMES:
                 raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), reader.line_num)

@@ -54,7 +54,7 @@ def read_joints(path: str | Path, width: int) -> JointTable:
     if not lines:
         raise FileFormatError(path, f"holds names but no frame; {_AGAIN}", 1)
     rows = [line.split() for line in lines]
-    if lines[0].endswith("\t") and not lines[-1].endswith("\t"):
+    if lines[0].endswith("\t") and rows[-1] and not lines[-1].endswith("\t"):
         rows[-1].pop()  # cut off in its last number
     T, J = len(rows), len(names)
     values = _numbers(path, rows, range(2, T + 2), J * width, f"{J} joints of {width} numbers")

@@ -32,7 +32,7 @@ from rtof_kin.formats.channels import PointChannels, StreamChannels
 from rtof_kin.formats.sensors.readings import lost
 
 MAGIC: Final = b"XDF:"
-_STREAM_HEADER, _SAMPLES, _CLOCK_OFFSET = 2, 3, 4
+_FILE_HEADER, _STREAM_HEADER, _SAMPLES, _CLOCK_OFFSET, _STREAM_FOOTER = 1, 2, 3, 4, 6
 _LENGTHS: Final = {1: "<B", 4: "<I", 8: "<Q"}
 _MOST_CHANNELS: Final = 2**14
 
@@ -78,16 +78,18 @@ def _read_structure(path: Path) -> _Structure:
                 after = stream.tell() + struct.unpack(of_length, length)[0]
                 if after > size:
                     break
-                tag, number = struct.unpack("<HI", stream.read(6).ljust(6, b"\0"))
-                if tag == _STREAM_HEADER and (header := _header(number, stream.read(after - stream.tell()))):
+                content = stream.read(after - stream.tell())
+                tag, number = struct.unpack("<HI", content[:6].ljust(6, b"\0"))
+                _check_metadata(tag, content)
+                if tag == _STREAM_HEADER and (header := _header(number, content[6:])):
                     headers[number] = header
                 elif tag == _SAMPLES and number in headers:
                     filled.add(number)
-                    if not _fits(stream.read(after - stream.tell()), headers[number].row_bytes):
+                    if not _fits(content[6:], headers[number].row_bytes):
                         raise ValueError(f"samples of stream {number} that do not fill their chunk")
                 elif tag == _CLOCK_OFFSET:
                     synchronised.add(number)
-                end = stream.seek(after)
+                end = after
     except FileNotFoundError as error:
         raise FileFormatError(path, "there is no such file") from error
     except OSError as error:
@@ -97,12 +99,16 @@ def _read_structure(path: Path) -> _Structure:
     return _Structure(tuple(headers.values()), frozenset(filled), frozenset(synchronised), end, end < size)
 
 
+def _check_metadata(tag: int, content: bytes) -> None:
+    """Refuse XML with declarations, whose entities could fill the memory."""
+    xml = tag in (_FILE_HEADER, _STREAM_HEADER, _STREAM_FOOTER)
+    if xml and b"<!" in content.replace(b"<![CDATA[", b"").replace(b"<!--", b""):
+        raise ValueError("metadata with declarations, which XDF files do not have")
+
+
 def _header(number: int, content: bytes) -> _Header | None:
     """Return what a stream of numbers declares; None of one of texts."""
-    text = content.decode("utf-8", errors="replace")
-    if "<!" in text.replace("<![CDATA[", "").replace("<!--", ""):
-        raise ValueError("metadata with declarations, which XDF files do not have")
-    xml = ElementTree.fromstring(text)
+    xml = ElementTree.fromstring(content.decode("utf-8", errors="replace"))
     name, source_id, kind, count = (
         (xml.findtext(key) or "").strip() for key in ("name", "source_id", "channel_format", "channel_count")
     )

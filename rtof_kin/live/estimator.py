@@ -54,8 +54,7 @@ class OnlineEstimator:
 
     Attributes:
         skeleton: the subject's. settings: as given. dropped: by sensor, and ``video``: samples too late.
-        hurried: number of frames that were only predicted, to catch up. restarts: how often the poses had
-            gone astray, and were begun again from the image.
+        hurried: number of frames that were only predicted, to catch up.
     """
 
     def __init__(
@@ -101,7 +100,7 @@ class OnlineEstimator:
         self._origin: float | None = None
         self._newest = -np.inf
         self.dropped: dict[str, int] = {}
-        self.hurried, self.restarts, self._astray = 0, 0, 0
+        self.hurried, self._astray = 0, 0
         self._images, self._lifted = 0, -self._window.frames
         self._delay_s, self._refinement = s.video_delay_s, None
         if s.refined is not None and self._sensors is not None and self._camera is not None:
@@ -310,7 +309,6 @@ class OnlineEstimator:
         if self._astray >= _ASTRAY_TIMES:
             self._restart(self._first_lifted(pose, sample))
             self._astray = 0
-            self.restarts += 1
 
     def _R_world_bone(self, time: float) -> dict[str, Array]:
         if self._sensors is None:

@@ -27,8 +27,7 @@ from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.datasets.movi import Movi
-from rtof_kin.datasets.opencap_validation import OpenCapValidation
+from rtof_kin.datasets.marker_sets import Movi, OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS, PublicSet, Take, TakeInputs, Truth
 from rtof_kin.datasets.sensor_sets import Gaitex, Vidimu
 from rtof_kin.formats.camera_toml import write_camera_toml

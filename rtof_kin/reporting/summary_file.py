@@ -72,7 +72,7 @@ def read_summary(path: str | Path) -> Summary:
             settings=known.get("settings"),
             mean_sigmas=sigmas,
         )
-    except (InvalidInputError, ValueError) as error:
+    except (InvalidInputError, ValueError, RecursionError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
 
 

@@ -16,7 +16,6 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 
-Frames = NDArray[np.int_]
 _SIZE: Final = (1280, 720)  # [px] of a virtual camera's picture
 _FOCAL_PX: Final = 1400.0
 _CLOSER: Final = 0.78125

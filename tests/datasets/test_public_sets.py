@@ -13,8 +13,7 @@ from public_sets import known
 
 from rtof_kin.clinical.angles import opensim_angles
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.datasets.movi import CENTRES, SIZE_PX, Movi
-from rtof_kin.datasets.opencap_validation import OpenCapValidation
+from rtof_kin.datasets.marker_sets import CENTRES, SIZE_PX, Movi, OpenCapValidation
 from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, hinge_table, hip_centres
 from rtof_kin.datasets.sensor_sets import Gaitex, Vidimu
 from rtof_kin.formats.cameras import read_opencap

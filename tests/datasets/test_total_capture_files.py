@@ -86,6 +86,16 @@ def test_equal_files_are_allowed_and_different_ones_refused(tmp_path: Path) -> N
     assert all(index.one(("S5", "acting3"), kind) is None for kind in KINDS if kind != "positions")
 
 
+def test_links_in_circles_end(tmp_path: Path) -> None:
+    put(tmp_path, f"a/S5/acting3/{POSITIONS}")
+    (tmp_path / "b").mkdir()
+    for folder, other in (("a", "b"), ("b", "a")):
+        (tmp_path / folder / "above").symlink_to(tmp_path)
+        for name in ("x", "y"):
+            (tmp_path / folder / name).symlink_to(tmp_path / other)
+    assert find_files(tmp_path).one(("S5", "acting3"), "positions") is not None
+
+
 NAMES = SkeletonModel.default().names
 T = 7
 

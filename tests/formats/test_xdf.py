@@ -183,6 +183,16 @@ def test_recording_that_was_cut_off_is_read_up_to_its_last_chunk(tmp_path: Path)
         read_xdf(path)
 
 
+@pytest.mark.parametrize("tag", [b"<info><version>", b"<info><name>pelvis", b"<info><sample_count>"])
+def test_entities_are_refused_wherever_pyxdf_would_expand_them(tag: bytes, tmp_path: Path) -> None:
+    whole = content(IMU)
+    assert tag in whole
+    path = tmp_path / "take.xdf"
+    path.write_bytes(whole.replace(tag, b"<!DOCTYPE a>".ljust(len(tag)) if len(tag) >= 12 else tag))
+    with pytest.raises(FileFormatError, match="declarations"):
+        read_xdf(path)
+
+
 def test_missing_file_and_missing_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FileFormatError, match="no such file"):
         read_xdf(tmp_path / "none.xdf")

@@ -15,7 +15,7 @@ from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.live import webcam
+from rtof_kin.live import video as webcam
 from rtof_kin.live.replay import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample
 from rtof_kin.live.video import VideoSource

@@ -19,8 +19,7 @@ from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, error_rows
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.core.jobs import Outcome
-from rtof_kin.datasets.movi import CENTRES
-from rtof_kin.datasets.opencap_validation import OpenCapValidation
+from rtof_kin.datasets.marker_sets import CENTRES, OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
 from rtof_kin.protocols import Measured, run, validation
 from rtof_kin.protocols.angles import against_opensim, against_recording

@@ -122,6 +122,7 @@ def with_(value: Any, *path: str) -> Callable[[dict[str, Any]], None]:
     ("change", "message"),
     [
         (with_(5, "camera"), r"recording\.toml: camera: not a table; write its fields under \[camera\]"),
+        (with_([1], "camera"), r"camera: not a table; write its fields under \[camera\]"),
         (with_({}, "views"), r"views: not tables in a row; begin each with \[\[views\]\]"),
         (with_([{"camera": {}}], "views"), r"\[views\.1\] keypoints: missing; add it: As those of the first camera"),
         (without("camera"), r"camera: is missing; a camera and its keypoints go together"),

@@ -315,7 +315,7 @@ def _explained(found: ValidationError, data: Any, path: Path, name: str) -> Rtof
     field, title = str(steps[0]), f"[{label}] " if label else ""
     if first["type"] == "extra_forbidden":
         return UnknownNameError("field", context["unknown"], context["known"], path, title.strip())
-    problem = context.get("problem") or _problem(first, table[field], f"{label}.{field}" if label else field)
+    problem = context.get("problem") or _problem(first, table.get(steps[0]), f"{label}.{field}" if label else field)
     return FileFormatError(path, f"{title}{field}: {problem}")
 
 
@@ -329,7 +329,7 @@ def _problem(found: ErrorDetails, value: Any, name: str) -> str:
         return f"{_short(value)} is not one of {', '.join(known)}{'.' if hint else ''}{hint}"
     if kind in _PROBLEMS:
         return f"{_short(value)} {_PROBLEMS[kind]}"
-    if kind == "tuple_type" or isinstance(value, list):
+    if kind in ("tuple_type", "list_type") or isinstance(found["loc"][-1], int):  # an element is no table
         return f"not tables in a row; begin each with [[{name}]]"
     return f"not a table; write its fields under [{name}]"
 

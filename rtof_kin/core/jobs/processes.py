@@ -149,8 +149,9 @@ def _one_thread() -> Iterator[None]:
     try:
         yield
     finally:
-        os.environ.clear()
-        os.environ.update(before)
+        for name in VARIABLES:
+            del os.environ[name]
+        os.environ.update({name: before[name] for name in VARIABLES if name in before})
 
 
 # --- in the worker -------------------------------------------------------------------------------

@@ -1,4 +1,6 @@
-"""BML-MoVi (Ghorbani et al., PLOS ONE 16, e0253157, 2021): round F, two calibrated cameras and 67 markers.
+"""Two public sets of videos beside markers: BML-MoVi and OpenCap's laboratory validation.
+
+BML-MoVi (Ghorbani et al., PLOS ONE 16, e0253157, 2021): round F, two calibrated cameras and 67 markers.
 
 Files are found by name at any depth::
 
@@ -9,6 +11,15 @@ Files are found by name at any depth::
 ``move`` has ``motions_list`` and, from 1, the first and last frame of each motion in the video (``flags30``)
 and in motion capture (``flags120``). Joint centres are ``virtualMarkerLocation`` (T, 20, 3) in the order of
 `CENTRES`; 0 or NaN where missing. Rounds S1 and S2 have sensors but 17 markers, too few for any joint angle.
+
+LabValidation_withVideos of OpenCap (Uhlrich, Falisse et al., PLOS Computational Biology 19, e1011462, 2023): five
+cameras, Cam0 to Cam4 at -70, -45, 0, 45 and 70 degrees, 0 in front of the person, markers and OpenSim of ten people;
+walking, squats, rising from a chair, drop jumps::
+
+    subject2/sessionMetadata.yaml                             height_m
+    subject2/VideoData/Session0/Cam1/cameraIntrinsicsExtrinsics.pickle
+    subject2/VideoData/Session0/Cam1/STS1/STS1_syncdWithMocap.avi      cut to the reference; or STS1.avi
+    subject2/OpenSimData/Mocap/IK/STS1.mot                    inverse kinematics of the markers
 """
 
 from __future__ import annotations
@@ -19,10 +30,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import yaml
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
+from rtof_kin.core.files.text import read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.public_sets import (
     Movement,
@@ -35,6 +48,7 @@ from rtof_kin.datasets.public_sets import (
     kind_of,
     natural,
 )
+from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
 _PAIRED: Final = ("ankle", "elbow", "hip", "hand", "knee", "shoulder", "wrist", "foot")
@@ -208,3 +222,87 @@ def read_motions(path: Path) -> dict[str, Any]:
     if found["flags120"].max(initial=0) > len(points):
         raise FileFormatError(path, f"move.flags120 ends after the {len(points)} frames of the markers")
     return {"motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points}
+
+
+_OPENCAP_KINDS: Final[dict[str, Movement]] = {"walking": "walk", "squats": "squat", "sts": "sit-to-stand"}
+_NO_MOVEMENT: Final = ("static", "extrinsics", "calib", "neutral")
+_VIDEOS: Final = (".avi", ".mp4", ".mov")
+_SYNCHRONISED: Final = "_syncdWithMocap"
+_OF_SIDES: Final = "hip_flexion hip_adduction hip_rotation knee_angle ankle_angle subtalar_angle elbow_flex pro_sup"
+_MEASURED: Final = (
+    *("lumbar_extension", "lumbar_bending", "lumbar_rotation"),
+    *(f"{name}_{side}" for side in "rl" for name in _OF_SIDES.split()),
+)
+
+
+class OpenCapValidation(PublicSet):
+    """Adapter of LabValidation_withVideos."""
+
+    name = "opencap"
+    archive = "LabValidation_withVideos"
+    layout = "subjectN/VideoData/SessionN/CamN/TRIAL/ and subjectN/OpenSimData/Mocap/IK/TRIAL.mot"
+    title = "OpenCap's laboratory validation"
+    mode = "rto"
+
+    def _takes(self) -> Iterator[Take]:
+        subjects = [*self.root.glob("subject*"), *self.root.glob("*/subject*")]
+        for subject in sorted((p for p in subjects if p.is_dir()), key=lambda p: natural(p.name)):
+            for folder in sorted(subject.glob("VideoData/Session*/Cam*/*/"), key=lambda p: natural(str(p))):
+                trial, camera, session = folder.name, folder.parent.name, folder.parent.parent.name
+                if trial.lower().startswith(_NO_MOVEMENT):
+                    continue
+                key = f"{subject.name}_{session}_{camera}_{trial}"
+                yield Take(key, subject.name, trial, kind_of(trial, _OPENCAP_KINDS), folder, camera)
+
+    def inputs(self, take: Take) -> TakeInputs:
+        """See `PublicSet.inputs`."""
+        calibration = existing(
+            take.folder.parent / "cameraIntrinsicsExtrinsics.pickle",
+            "the calibration of the camera",
+            "unpack it from LabValidation_withVideos, or measure without one: --uncalibrated",
+        )
+        return TakeInputs(video=_video(take), rate_hz=60.0, camera=calibration, height=_height(take))
+
+    def truth(self, take: Take) -> Truth:
+        """See `PublicSet.truth`."""
+        path = _subject(take) / "OpenSimData" / "Mocap" / "IK" / f"{take.movement}.mot"
+        existing(path, "the inverse kinematics of the markers", "unpack OpenSimData of LabValidation")
+        table = read_opensim_table(path)
+        if "knee_angle_r" not in table.names:
+            raise FileFormatError(path, "has no column knee_angle_r: is it another version of the set?")
+        return Truth(
+            table,
+            _MEASURED,
+            "OpenSim inverse kinematics of optical markers",
+            reach=1.0 if _is_synchronised(take) else 3.0,
+        )
+
+
+def _height(take: Take) -> float:
+    path = _subject(take) / "sessionMetadata.yaml"
+    existing(path, "the height of the person", "unpack it from LabValidation_withVideos")
+    try:
+        found: Any = yaml.safe_load(read_text(path, "YAML"))
+    except yaml.YAMLError as error:
+        raise FileFormatError(path, f"is no YAML ({error})".replace("\n", " ")) from error
+    height = found.get("height_m") if isinstance(found, dict) else None
+    if not isinstance(height, int | float) or not 0.5 < height < 2.5:
+        raise FileFormatError(path, f"height_m: expected the height of the person, m, found {height!r}")
+    return float(height)
+
+
+def _subject(take: Take) -> Path:
+    return take.folder.parents[3]
+
+
+def _video(take: Take) -> Path | None:
+    for stem in (take.movement + _SYNCHRONISED, take.movement):
+        for suffix in _VIDEOS:
+            if (path := take.folder / f"{stem}{suffix}").is_file():
+                return path
+    return None
+
+
+def _is_synchronised(take: Take) -> bool:
+    video = _video(take)
+    return video is None or video.stem.endswith(_SYNCHRONISED)
