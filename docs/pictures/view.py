@@ -10,8 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from docs.pictures.studio import DOCS, Studio, save
-from rtof_kin.view.local_server import address, local_server
-from rtof_kin.view.viewer import MotionViewer, motion_files
+from rtof_kin.view.viewer import MotionViewer, address, local_server, motion_files
 
 sys.path.append(str(DOCS.parent / "tests" / "support"))
 SIZE = 1400, 800

@@ -59,9 +59,8 @@ def view(
     if html is not None and video:
         raise InvalidInputError("--html: the file has no video; leave out --video")
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.view.local_server import local_server
     from rtof_kin.view.static_page import write_static_page
-    from rtof_kin.view.viewer import MotionViewer, motion_files
+    from rtof_kin.view.viewer import MotionViewer, local_server, motion_files
 
     with ExitStack() as stack:
         if html is not None:
@@ -113,7 +112,7 @@ def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
 
 def _open(server: Any, browser: bool) -> None:
     """Print the address and open the browser."""
-    from rtof_kin.view.local_server import address
+    from rtof_kin.view.viewer import address
 
     line("address", f"{address(server)} (this machine only, to who has this address; Ctrl-C ends)")
     if browser:

@@ -57,29 +57,15 @@ from rtof_kin.datasets.public_sets import (
 from rtof_kin.formats.opensim import read_opensim_table
 
 EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}
-SEGMENTS: Final = {
-    "pelvis": "pelvis",
-    "torso": "sternum",
-    "femur_r": "right thigh",
-    "femur_l": "left thigh",
-    "tibia_r": "right shank",
-    "tibia_l": "left shank",
-    "calcn_r": "right foot",
-    "calcn_l": "left foot",
-}
-"""Body of OpenSim in the metadata -> segment; the right foot's second sensor, on the toes, is left out."""
+BODIES: Final = ("pelvis", "torso", "femur_r", "femur_l", "tibia_r", "tibia_l", "calcn_r", "calcn_l")
+"""Bodies of OpenSim in the metadata that are used; the right foot's second sensor, on the toes, is left out."""
 POSE_SECONDS: Final = 1.0  #: [s] of the T-pose from `start_ts` on that are used
 _QUATERNION: Final = re.compile(r"(.+)_Q([WXYZ])")
 _MARKER: Final = re.compile(r"(.+)_([XYZ])_\[mm\]")
-_MARKERS: Final[dict[str, tuple[str, ...]]] = {
-    "right_asis": ("R_IAS",),
-    "left_asis": ("L_IAS",),
-    "right_psis": ("R_IPS",),
-    "left_psis": ("L_IPS",),
-    "right_knee": ("R_FLE", "R_FME"),
-    "left_knee": ("L_FLE", "L_FME"),
-    "right_ankle": ("R_FAL", "R_TAM"),
-    "left_ankle": ("L_FAL", "L_TAM"),
+_MARKERS: Final = {
+    f"{side}_{point}": tuple(f"{side[0].upper()}_{marker}" for marker in markers)
+    for point, markers in {"asis": ["IAS"], "psis": ["IPS"], "knee": ["FLE", "FME"], "ankle": ["FAL", "TAM"]}.items()
+    for side in ("right", "left")
 }
 """Point -> the markers whose middle it is."""
 _OF_LEGS: Final = tuple(
@@ -113,7 +99,7 @@ class Gaitex(PublicSet):
         """See `PublicSet.inputs`."""
         start, bodies = _metadata(take)
         log = read_orientations(take.folder / f"xsens_imu_data_{take.key}.csv")
-        places = {imu: SEGMENTS[body] for body, imu in bodies.items() if body in SEGMENTS}
+        places = {imu: body for body, imu in bodies.items() if body in BODIES}
         missing = [imu for imu in places if imu not in log.names]
         if missing:
             raise FileFormatError(log.path, f"no columns of {', '.join(missing)}, which the metadata name")

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.view.local_server import address, local_server
+from rtof_kin.view.viewer import address, local_server
 
 viser = pytest.importorskip("viser")
 PROTOCOL: Any = [f"viser-v{viser.__version__}"]

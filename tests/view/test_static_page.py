@@ -13,9 +13,8 @@ from report_support import BROWSER
 from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
-from rtof_kin.view.local_server import address, local_server
 from rtof_kin.view.static_page import write_static_page
-from rtof_kin.view.viewer import MotionViewer, motion_files
+from rtof_kin.view.viewer import MotionViewer, address, local_server, motion_files
 
 pytest.importorskip("viser")
 INSIDE = ("data:", "blob:")

@@ -25,9 +25,8 @@ from rtof_kin.view.camera_layer import camera_block
 from rtof_kin.view.curves import AngleBlocks, Curves
 from rtof_kin.view.layers import solid_colours
 from rtof_kin.view.legend import COLOURS, Rgb
-from rtof_kin.view.local_server import local_server
 from rtof_kin.view.motion_scene import MotionScene
-from rtof_kin.view.viewer import MotionViewer, Opened, motion_files
+from rtof_kin.view.viewer import MotionViewer, Opened, local_server, motion_files
 
 pytest.importorskip("viser")
 FRAMES = 120
