@@ -57,7 +57,7 @@ def read_joints(path: str | Path, width: int) -> JointTable:
     if lines[0].endswith("\t") and rows[-1] and not lines[-1].endswith("\t"):
         rows[-1].pop()  # cut off in its last number
     T, J = len(rows), len(names)
-    values = _numbers(path, rows, range(2, T + 2), J * width, f"{J} joints of {width} numbers")
+    values = _numbers(path, rows, range(2, T + 2), J * width, f"numbers for {J} joints")
     return JointTable(names, values.reshape(T, J, width))
 
 
@@ -85,7 +85,7 @@ def read_sensors(path: str | Path) -> SensorTable:
             raise FileFormatError(path, f"where {head!r} should stand is {found!r}", line)
     cells = [row[1:8] for i, row in enumerate(rows) if i % (S + 1)]
     places = [i + 2 for i in range(len(rows)) if i % (S + 1)]
-    values = _numbers(path, cells, places, 7, "a sensor's name and at least 7 numbers").reshape(T, S, 7)
+    values = _numbers(path, cells, places, 7, "numbers after a sensor's name").reshape(T, S, 7)
     return SensorTable(names, values[..., :4], values[..., 4:])
 
 
@@ -120,7 +120,7 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
     for number, cells in enumerate(map(str.split, lines), start=2):
         if not cells:
             continue
-        values = _numbers(path, [cells[1:]], [number], 4, "a sensor's name and four numbers")
+        values = _numbers(path, [cells[1:]], [number], 4, "numbers after a sensor's name")
         name, norm = cells[0], np.linalg.norm(values[0])
         if name in quaternions:
             raise FileFormatError(path, f"a second line for {name}; remove one", number)
