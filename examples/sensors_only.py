@@ -11,10 +11,10 @@ from pathlib import Path
 from sensors_only_figure import draw
 
 from rtof_kin import Recording, SkeletonModel, export, reconstruct
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.recording.sensor_files import imus_of_log
 
 trial, path = sys.argv[1], Path(sys.argv[2])
 out = Path(sys.argv[3] if len(sys.argv) > 3 else f"out/{trial}")
@@ -26,7 +26,7 @@ if facts.get("vqf"):
 found = calibrate_by_pose(log, facts["joints"], facts["pose"], SkeletonModel.default(), headings=facts["headings"])
 for sentence in (*log.notes, *found.warnings):
     print("note:", sentence)
-recording = Recording(trial, imus=ImuSequence.joined(log.imus()), calibration=found.calibration)
+recording = Recording(trial, imus=imus_of_log(log), calibration=found.calibration)
 result = reconstruct(recording, mode="imu")
 export(result, out, overwrite=True)
 draw(result, out / "figures" / "moving.png")

@@ -97,7 +97,7 @@ def read_opensim_table(path: str | Path) -> OpenSimTable:
     states = {i: found[1] for i, label in enumerate(labels) if (found := _STATE.fullmatch(label))}
     chosen = states or dict(enumerate(labels[1:], 1))
     header = "\n".join(lines[:end])
-    unit = re.search(r"^\s*indegrees\s*=\s*(yes|no)\s*$", header, re.IGNORECASE | re.MULTILINE)
+    unit = re.search(r"^[ \t]*indegrees[ \t]*=[ \t]*(yes|no)[ \t]*$", header, re.IGNORECASE | re.MULTILINE)
     if unit is None:
         raise FileFormatError(
             path, "the header does not state the unit of rotations: add a line inDegrees=yes or inDegrees=no"

@@ -29,6 +29,7 @@ TITLE: Final = "Xsens MVNX"
 LARGEST_BYTES = 2**33  #: Largest file that is read, bytes; an hour of MVN at 60 Hz with all its tags has about 4 GB
 _WIDTHS: Final = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
 """Numbers per sensor in the tags that are read."""
+_MOST: Final = 1000  #: Largest number of sensors
 _RAW: Final = frozenset({"sensorAcceleration", "sensorAngularVelocity"})
 
 
@@ -139,7 +140,7 @@ class _Content:
             self._frame(element)
         elif tag == "sensor":
             self.sensors.append(element.get("label", ""))
-            if self.sensors[-1] in ("", *self.sensors[:-1]):
+            if len(self.sensors) > _MOST or self.sensors[-1] in ("", *self.sensors[:-1]):
                 problem = f"<sensor> {len(self.sensors)} has no label of its own ({self.sensors[-1][:40]!r})"
                 raise FileFormatError(self.path, problem)
 
