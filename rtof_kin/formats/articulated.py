@@ -98,10 +98,3 @@ class ArticulatedMotion:
             p_world_joint[:, j] = p_world_joint[:, parent] + (arm if moving is None else arm[..., 0])
             R_world_joint[:, j] = R_world_joint[:, parent] @ self.R_parent_joint[:, j]
         return p_world_joint, R_world_joint
-
-    def end_positions(self) -> Array:
-        """Return positions (T, E, 3) of the end sites in the file's world, file units."""
-        p_world_joint, R_world_joint = self.forward_kinematics()
-        joints = list(self.end_parents)
-        arms = np.einsum("teij,ej->tei", R_world_joint[:, joints], self.end_offsets)
-        return np.asarray(p_world_joint[:, joints] + arms)

@@ -243,12 +243,6 @@ class MeasurementsWriter(BlockWriter):
             self._arrays.add(name, array)
 
 
-def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write measurements over an existing file; `RtofError` where it cannot be written."""
-    with MeasurementsWriter(path) as writer:
-        writer.append(measurements)
-
-
 def _header(m: Measurements) -> dict[str, Any]:
     """Return names, cameras and the floor."""
     return {

@@ -88,8 +88,8 @@ def test_bones_are_chained_end_to_end_from_the_root(read):
     np.testing.assert_allclose(R[1, 0], root.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(p[1, :2], [[1, 2, 3], [1, 2, 3]], atol=1e-12)
     np.testing.assert_allclose(p[1, 2], p[1, 1] + R[1, 1] @ [0, -7.5, 0], atol=1e-12)
-    end = p[1, 2] + R[1, 2] @ [0, -7, 0]
-    np.testing.assert_allclose(motion.end_positions()[1, 0], end, atol=1e-12)
+    assert motion.end_parents == (2,)
+    np.testing.assert_allclose(motion.end_offsets, [[0, -7, 0]], atol=1e-12)
 
 
 def test_unit_is_an_inch_divided_by_the_stated_length(read):

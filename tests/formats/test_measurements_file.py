@@ -5,6 +5,7 @@ from dataclasses import replace
 import npz_v1
 import numpy as np
 import pytest
+from measurements_support import write_measurements
 from scene_support import measured, walking
 
 from rtof_kin.body.metrics import at_times
@@ -16,12 +17,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import Measurements
-from rtof_kin.formats.measurements_file import (
-    MeasurementsReader,
-    MeasurementsWriter,
-    read_measurements,
-    write_measurements,
-)
+from rtof_kin.formats.measurements_file import MeasurementsReader, MeasurementsWriter, read_measurements
 from rtof_kin.recording.recording import Recording
 
 FRAMES = 12

@@ -12,6 +12,7 @@ from typing import Any
 import av
 import numpy as np
 import planted
+from measurements_support import write_measurements
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_file import write_motion
@@ -21,7 +22,6 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.measurements_file import write_measurements
 
 Image = NDArray[np.uint8]
 CELL = 24

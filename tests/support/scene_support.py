@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from measurements_support import write_measurements
 
 from rtof_kin.body.motion_file import MOTION, write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -14,7 +15,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_file import MEASUREMENTS, write_measurements
+from rtof_kin.formats.measurements_file import MEASUREMENTS
 
 RATE = 50.0
 SPEED = 1.0  # m/s along x
