@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -127,6 +127,7 @@ def _by_column(statistic: Callable[[Array], Any], values: Array) -> Array:
 
 LONGEST: Final = 120.0  # [s] of a recording that a study takes if nothing else is wanted
 _BIN: Final = 1.0  # [s] over which movement is averaged
+_MARGIN: Final = 1.0  # [s] of samples of the sensors on both sides of the video, in which its clock is searched
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,14 @@ class Part:
         return self.seconds >= self.whole
 
     def of(self, recording: Recording) -> Recording:
-        """Return this part of a recording."""
-        return recording if self.is_whole else recording.between(self.start, self.stop)
+        """Return this part of a recording; the reference is left as it is."""
+        if self.is_whole:
+            return recording
+        seen = recording.between(self.start, self.stop)
+        if seen.keypoints is None:
+            return replace(recording, imus=seen.imus)
+        around = recording.between(self.start - _MARGIN, self.stop + _MARGIN)
+        return replace(recording, keypoints=seen.keypoints, imus=around.imus)
 
 
 def liveliest_part(recording: Recording, longest: float) -> Part:
