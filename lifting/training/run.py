@@ -84,6 +84,9 @@ def step_seed(seed: int, step: int) -> int:
     return seed * 1_000_003 + step
 
 
+VALIDATION_RARITY: Final = 19.0  #: Least time between two validations, in durations of one: they take 5 %
+
+
 class Run:
     """A training in progress."""
 
@@ -108,7 +111,7 @@ class Run:
         self.validation = Validation(corpus, self.size, self.device, config.validation_windows, config.causal)
         self.batches = Prefetch(self._draw)
         self.started_from = ""
-        self.steps, self.seconds, self.validated = 0, 0.0, 0
+        self.steps, self.seconds, self.validated, self.affordable = 0, 0.0, 0, 0.0
         self.losses: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
 
@@ -170,7 +173,8 @@ class Run:
             SolverError: the training diverged.
         """
         config = self.config
-        due = int(self.share_done * config.validations) > self.validated or self.share_done >= 1
+        rare = self.seconds >= self.affordable  # validation is no more than 5 % of the time
+        due = (int(self.share_done * config.validations) > self.validated and rare) or self.share_done >= 1
         if not due and self.steps % config.report_every:
             return None
         loss = float(torch.stack(self.losses).mean())
@@ -193,7 +197,9 @@ class Run:
             self.losses = []
             report["validation"] = self.validation.measure(self.averaged)
             self.history.append(report)
-            self.seconds += time.perf_counter() - start
+            spent = time.perf_counter() - start
+            self.seconds += spent
+            self.affordable = self.seconds + VALIDATION_RARITY * spent
         return report
 
     def facts(self) -> dict[str, Any]:

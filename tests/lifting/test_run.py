@@ -181,3 +181,19 @@ def test_an_error_of_the_second_thread_reaches_the_caller_and_the_thread_ends() 
     with pytest.raises(ZeroDivisionError), Prefetch(lambda step: 1 // step) as prefetch:
         prefetch(0)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
+
+
+def test_validation_takes_a_twentieth_of_the_time(
+    corpus: Corpus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twenty validations of 40 ms in a run of 1 s: the first one is paid before the second, the last always made."""
+    seconds = iter(np.arange(0.0, 1e6, 0.01))  # each look at the clock is 10 ms later than the last
+    monkeypatch.setattr("lifting.training.run.time.perf_counter", lambda: float(next(seconds)))
+    monkeypatch.setattr("lifting.training.run.Validation.measure", lambda *_: [next(seconds) for _ in range(4)] and {})
+    reports: list[dict[str, Any]] = []
+    config = replace(QUICK, windows=16 * 400, validations=20)
+    train(config, corpus, tmp_path / "lifter.pt", reports.append)
+    made = [report["seconds"] for report in reports if "validation" in report]
+    assert 3 <= len(made) < 12
+    assert min(np.diff(made[:-1])) > 19 * 0.04
+    assert "validation" in reports[-1]
