@@ -138,13 +138,10 @@ def _read_header(path: Path, lines: Sequence[str]) -> tuple[int, int, float]:
 
 
 def _read_names(path: Path, cells: list[str], count: int) -> tuple[str, ...]:
-    names = [cell.strip() for cell in cells[2::3]]
-    while names and not names[-1]:
-        names.pop()
-    between = [cell for i, cell in enumerate(cells[2:]) if i % 3 and cell.strip()]
-    if len(names) != count or not all(names) or between:
-        found = f"found {len(names)}" + (f", and {between[0][:40]!r} between" if between else "")
-        raise FileFormatError(path, f"expected Frame#, Time and {count} names, one in every third cell; {found}", 4)
+    """Return the names, usually one in every third cell; some files of OpenSim have a cell more."""
+    names = [cell.strip() for cell in cells[2:] if cell.strip()]
+    if len(names) != count:
+        raise FileFormatError(path, f"expected Frame#, Time and {count} names; found {len(names)}", 4)
     return tuple(names)
 
 
