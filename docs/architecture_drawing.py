@@ -27,6 +27,7 @@ PLACES = {
     "calibration": (0.3, 4, "delay, mounting, bones\nfrom the motion"),
     "lifting": (2.2, 4, "network: 2D to 3D\n(beside rtof_kin)"),
     "clinical": (4.0, 4, "angles, gait,\nrepetitions, torques"),
+    "markers": (1.1, 5, "optical laboratories:\nbody, IK"),
     "solve": (0.0, 6, "energy, fragments,\nuncertainty"),
     "simulation": (2.2, 5, "recordings from\nmotion capture"),
     "datasets": (3.2, 5, "Total Capture and other\npublic data sets"),
@@ -41,7 +42,7 @@ PLACES = {
 """Folder -> column, row, what it is."""
 KINDS = {
     "for people": ("cli", "setup", "live", "view", "protocols", "batch", "plan", "reporting", "clinical"),
-    "the method": ("reconstruction", "calibration", "lifting", "solve"),
+    "the method": ("reconstruction", "calibration", "lifting", "markers", "solve"),
     "its data": ("simulation", "datasets", "recording"),
     "foundations": ("inertial", "vision", "formats", "body", "data", "core"),
 }

@@ -24,6 +24,7 @@ FOLDERS = {
     "simulation": "recordings from motion capture",
     "datasets": "Total Capture, Human3.6M",
     "solve": "SF2 and the fragment solvers",
+    "markers": "trials of optical laboratories to motions",
     "calibration": "self-calibration",
     "reconstruction": "recording to motion",
     "clinical": "angles, gait, repetitions, torques",

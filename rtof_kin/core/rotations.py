@@ -94,15 +94,15 @@ def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
     # Rodrigues' formula loses precision near 180 deg. Beyond 90 deg: a half turn about the common normal
     # takes a to -a, and the remaining angle is below 90 deg.
     far = cos < 0
-    cross = _cross(np.where(far[..., None], -a, a), b)
-    R = cross[..., :, None] * (cross / (1 + np.abs(cos))[..., None])[..., None, :] + skew(cross)
-    R += (1 - np.sum(cross**2, axis=-1) / (1 + np.abs(cos)))[..., None, None] * np.eye(3)
+    normal = cross(np.where(far[..., None], -a, a), b)
+    R = normal[..., :, None] * (normal / (1 + np.abs(cos))[..., None])[..., None, :] + skew(normal)
+    R += (1 - np.sum(normal**2, axis=-1) / (1 + np.abs(cos)))[..., None, None] * np.eye(3)
     if np.any(far):
-        R[far] = R[far] @ _half_turn(a[far], cross[far])
+        R[far] = R[far] @ _half_turn(a[far], normal[far])
     return np.asarray(R)
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
     """Return cross products (..., 3), four times as fast as `numpy.cross`."""
     out = np.empty_like(a)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):

@@ -1,0 +1,1 @@
+"""Trials of optical laboratories: markers on the skin as motion of the skeleton."""
