@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Group, Parameter
 
 from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command, written
-from rtof_kin.cli.terminal import job_progress, out, print_scores, say, with_zero_motion
+from rtof_kin.cli.terminal import job_progress, out, print_scores, progress, say, with_zero_motion
 from rtof_kin.core.choices import Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
+from rtof_kin.markers.settings import TRIALS, MarkerSettings
 
 if TYPE_CHECKING:
     from rtof_kin.body.skeleton import Motion
@@ -35,6 +36,7 @@ def evaluate_motion(
     truth: Annotated[Path, Parameter(metavar="TRUTH")],
     clinical: bool = False,
     movement: Movement = "other",
+    markers: Annotated[MarkerSettings, Fields("trials marker_set marker_table up", group="Marker trials")],
     output: Annotated[Path | None, written("write the table of angles there too")] = None,
 ) -> None:
     """Errors of a reconstructed motion against its truth, or of the package on a public data set.
@@ -45,7 +47,8 @@ def evaluate_motion(
 
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
-        truth: folder of a recording with the truth, or an OpenSim .mot or .sto (angles alone)
+        truth: folder of a recording with the truth; or, for clinical angles alone, an OpenSim .mot or .sto, or a marker
+            trial .c3d, .trc or .npz (docs/markers.md)
         clinical: also RMSE, mean and median absolute error of clinical joint angles, beside published values
         movement: class of the movement, for that table
     """
@@ -57,8 +60,8 @@ def evaluate_motion(
 
     with MotionReader(motion) as reader:
         found, mode = reader.read(), reader.mode
-    if truth.suffix.lower() in SUFFIXES:
-        _evaluate_angles(found, truth, movement, output)
+    if truth.suffix.lower() in (*SUFFIXES, *TRIALS):
+        _evaluate_angles(found, truth, movement, output, markers)
         return
     recording = Recording.load(truth)
     if recording.truth is None:
@@ -75,16 +78,23 @@ def evaluate_motion(
     )
     print_scores(metrics.per_joint, "joint")
     if clinical or output:
-        _evaluate_angles(found, recording, movement, output)
+        _evaluate_angles(found, recording, movement, output, markers)
 
 
-def _evaluate_angles(motion: Motion, truth: Path | Recording, movement: Movement, output: Path | None) -> None:
+def _evaluate_angles(
+    motion: Motion, truth: Path | Recording, movement: Movement, output: Path | None, markers: MarkerSettings
+) -> None:
     """Print the errors of clinical angles, and write them if asked."""
-    from rtof_kin.protocols.angles import against_opensim, against_recording
+    from rtof_kin.markers.trials import motion_of_markers
+    from rtof_kin.protocols.angles import against_markers, against_opensim, against_recording
     from rtof_kin.protocols.tables import write_results
     from rtof_kin.reporting.document import show
 
-    if isinstance(truth, Path):
+    if isinstance(truth, Path) and truth.suffix.lower() in TRIALS:
+        with progress() as update:
+            trial = motion_of_markers(truth, markers, progress=lambda done, of: update("fitting the body", done, of))
+        found = against_markers(motion, truth, trial, movement)
+    elif isinstance(truth, Path):
         found = against_opensim(motion, truth, movement)
     else:
         found = against_recording(motion, truth, movement)

@@ -21,6 +21,7 @@ from rtof_kin.cli.terminal import (
 from rtof_kin.core.environment import limit_threads, without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.markers.settings import TRIALS, MarkerSettings
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.setup.settings import ReconstructionTask
 from rtof_kin.solve.settings import CartesianSettings
@@ -61,10 +62,11 @@ def reconstruct(
     verbose: bool = False,
     settings: Annotated[ReconstructionSettings, SOLVER],
     paper: Paper = False,
+    markers: Annotated[MarkerSettings, Fields("trials marker_set marker_table up", group="Marker trials")],
     threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Reconstruct the motion of a recording.
+    """Reconstruct the motion of a recording, or of a marker trial.
 
     RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; docs/recording.md describes
     it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
@@ -74,8 +76,11 @@ def reconstruct(
     detector are estimated, without a pose of calibration: each quantity is printed with its standard deviation, and
     OUT, by default calibration.toml, is a file for --calibration.
 
+    RECORDING may also be a trial of an optical laboratory, .c3d, .trc or .npz: a body is fitted to the markers of all
+    trials of the person and the movement is solved on it (docs/markers.md). OUT is as of a recording.
+
     Args:
-        recording: folder of the recording
+        recording: folder of the recording, or a marker trial
         calibrate_only: estimate the calibration, write it, and stop
         calibrated: with --calibrate-only: also write the calibrated recording to this folder
         verbose: print every calibrated quantity too
@@ -87,9 +92,24 @@ def reconstruct(
         return
     if output is None:
         raise InvalidInputError("required: --output (rtof-kin reconstruct --help has all options)")
+    if recording.suffix.lower() in TRIALS:
+        _reconstruct_markers(recording, output, markers, overwrite)
+        return
     found = reconstruct_and_print(recording, output, task, settings, overwrite, verbose)
     if found.stage_metrics:
         print_scores((with_zero_motion(found.first.recording) if found.parts == 1 else {}) | found.stage_metrics)
+
+
+def _reconstruct_markers(trial: Path, output: Path, settings: MarkerSettings, overwrite: bool) -> None:
+    from rtof_kin.body.motion_file import MOTION
+    from rtof_kin.markers.trials import motion_of_markers, write_marker_motion
+
+    check_replaceable(output, MOTION, overwrite)
+    with progress() as update:
+        found = motion_of_markers(trial, settings, progress=lambda done, of: update("fitting the body", done, of))
+    say(found.headline)
+    write_marker_motion(found, output, overwrite)
+    say(f"wrote {output}")
 
 
 def reconstruct_and_print(

@@ -15,6 +15,7 @@ from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.datasets.public_sets import Movement
 from rtof_kin.formats.opensim import read_opensim_table
+from rtof_kin.markers.trials import MarkerResult
 from rtof_kin.protocols.published import METRICS, PUBLISHED, WITHOUT_METRIC, Metric
 from rtof_kin.protocols.tables import NAME, Table
 from rtof_kin.recording.recording import Recording
@@ -74,17 +75,35 @@ def against_opensim(motion: Motion, path: Path, movement: Movement = "other", re
         reference, _ = opensim_angles(read_opensim_table(path))
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
+    return _with_other_clock(motion, reference, path, movement, reach)
+
+
+def against_markers(motion: Motion, path: Path, trial: MarkerResult, movement: Movement = "other") -> Document:
+    """Compare with the motion of a marker trial, whose clock may differ by any time; `path`: of the trial, for names.
+
+    Raises:
+        InvalidInputError: no angle is in both at the same time.
+    """
+    return _with_other_clock(motion, clinical_angles(trial.motion), path, movement, np.inf, (trial.headline,))
+
+
+def _with_other_clock(
+    motion: Motion, reference: ClinicalAngles, path: Path, movement: Movement, reach: float, notes: Sequence[str] = ()
+) -> Document:
+    """Compare with angles of another clock, differences of which up to `reach`, s, are searched."""
     estimate = clinical_angles(motion)
     clock = clock_shift(estimate, reference, reference.names, reach)
     found, left_out = angle_differences(estimate, reference, movement, path.stem, (), clock["shift_s"])
     if not found:
         raise InvalidInputError(f"{path}: no angle is in it and in the motion at the same time")
     names = [name for name, reason in left_out.items() if not reason.startswith("not in the reference")]
-    notes = [f"Left out, as not observed in the motion, fixed in the file, or headings: {', '.join(names)}."]
+    if names:
+        left = f"Left out, as not observed in the motion, fixed in the file, or headings: {', '.join(names)}."
+        notes = (*notes, left)
     title = f"Joint angles against {path.name}"
     said = f"{clock['shift_s']:+.3f} s were added to its times ({clock['how']})"
     headline = f"{title}: {len(found)} angles; {said}."
-    return angle_document(error_rows(found, [movement]), title, headline, notes if names else [])
+    return angle_document(error_rows(found, [movement]), title, headline, notes)
 
 
 def clock_shift(
@@ -111,7 +130,7 @@ def clock_shift(
     }
     if found.poor:
         return facts | {"shift_s": 0.0, "how": f"as recorded: {HARDLY}"}
-    how = f"estimated within {reach:g} s"
+    how = f"estimated within {reach:g} s" if np.isfinite(reach) else "estimated among all shifts"
     if abs(found.shift) > 0.95 * reach:
         how += ", at the edge of what was searched"
     if found.ambiguous:
