@@ -36,7 +36,9 @@ def evaluate_motion(
     truth: Annotated[Path, Parameter(metavar="TRUTH")],
     clinical: bool = False,
     movement: Movement = "other",
-    markers: Annotated[MarkerSettings, Fields("trials marker_set marker_table up", group="Marker trials")],
+    markers: Annotated[
+        MarkerSettings, Fields("trials marker_set marker_table marker_person up", group="Marker trials")
+    ],
     output: Annotated[Path | None, written("write the table of angles there too")] = None,
 ) -> None:
     """Errors of a reconstructed motion against its truth, or of the package on a public data set.

@@ -62,7 +62,9 @@ def reconstruct(
     verbose: bool = False,
     settings: Annotated[ReconstructionSettings, SOLVER],
     paper: Paper = False,
-    markers: Annotated[MarkerSettings, Fields("trials marker_set marker_table up", group="Marker trials")],
+    markers: Annotated[
+        MarkerSettings, Fields("trials marker_set marker_table marker_person up", group="Marker trials")
+    ],
     threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:

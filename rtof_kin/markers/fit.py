@@ -44,7 +44,7 @@ _TWIST: Final = 0.15  #: Weight of the parent's orientation in the first estimat
 _WIDE: Final = 5.0  #: Factor on the pose prior's standard deviations along movements in a fit
 _ALIKE: Final = 4.0  #: Soft tissue moves alike in like postures: so many frames count as one
 _HIP: Final = 0.008  #: [m] standard deviation of a hip joint centre about its regression, by axis
-_MISFIT: Final = 0.03  #: [m] median residual at which markers and body do not belong together
+MISFIT: Final = 0.03  #: [m] residual at which markers and body do not belong together
 _DOUBTFUL: Final = 3.0  #: Ratio of a marker's residual to its soft tissue's at which it contradicts the others
 _MOST_LEFT_OUT: Final = 5  #: Number of contradicting markers at which nothing is sure
 _WINDOW, _OVERLAP = 300, 15  #: Frames of a trial that are solved at once, and that two neighbours share
@@ -113,7 +113,7 @@ def fit_body(
         left_out[places.names[worst]] = float(body.rms[worst])
         kept = [k for k in range(len(places.names)) if k != worst]
         places, observed = places.select([places.names[k] for k in kept]), observed[:, kept]
-    if (middle := float(np.median(body.rms))) > _MISFIT or len(left_out) == _MOST_LEFT_OUT:
+    if (middle := float(np.median(body.rms))) > MISFIT or len(left_out) == _MOST_LEFT_OUT:
         raise CalibrationError(
             f"the markers fit no body: median residual {1000 * middle:.0f} mm, worst {', '.join(left_out) or 'none'}. "
             f"Are names, unit and marker set ({places.set_name}) right, and are all trials of one person?"

@@ -109,32 +109,45 @@ def _parse(path: Path) -> _Table:
         raise FileFormatError(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
-def places_of(names: Sequence[str], table: str | Path | None = None, set_name: str | None = None) -> MarkerPlaces:
+def places_of(
+    names: Sequence[str], table: str | Path | None = None, set_name: str | None = None, person: str | None = None
+) -> MarkerPlaces:
     """Return the prior places of a trial's markers; markers that are not of the set are left out.
 
     Args:
-        names: of a trial; a subject in front ("Anna:LASI") does not count.
+        names: of a trial, perhaps with a person's name in front ("Anna:LASI").
         table: file with further sets; default: the shipped sets.
         set_name: one of the table's sets; default: the one with most markers in the trial.
+        person: whose markers, where the trial has those of several.
 
     Raises:
-        InvalidInputError: no set fits. FileFormatError: a damaged table.
+        InvalidInputError: no set fits, or those of several people do. FileFormatError: a damaged table.
     """
     sets = read_marker_sets(table)
     if set_name is not None and set_name not in sets.set:
         raise InvalidInputError(f"marker set {set_name!r}: not in the table; known: {', '.join(sets.set)}")
     chosen = sets.set if set_name is None else {set_name: sets.set[set_name]}
-    plain = {_plain(name): name for name in reversed(names)}
-    found = {name: _matched(one, plain) for name, one in chosen.items()}
-    complete = [name for name, one in chosen.items() if {_plain(m) for m in one.signature} <= {*plain}]
+    people = {name.rpartition(":")[0]: dict[str, str]() for name in names}
+    for name in reversed(names):
+        people[name.rpartition(":")[0]][_plain(name)] = name
+    complete = {
+        (who, name): _matched(one, plain)
+        for who, plain in people.items()
+        for name, one in chosen.items()
+        if {_plain(marker) for marker in one.signature} <= {*plain} and person in (None, who)
+    }
     if not complete:
         known = "; ".join(f"{name} has {', '.join(one.signature)}" for name, one in chosen.items())
+        of = "" if person is None else f" of {person}"
         raise InvalidInputError(
-            f"markers {', '.join(names[:6])}, ...: of no known marker set ({known}); write a table of your own, "
+            f"markers {', '.join(names[:6])}, ...: of no known marker set{of} ({known}); write a table of your own, "
             "whose form is in docs/markers.md"
         )
-    best = max(complete, key=lambda name: len(found[name]))
-    rows = [(plain[marker], *_placed(sets.point, point, side)) for marker, (point, side) in found[best].items()]
+    if len(found := list(dict.fromkeys(who for who, _ in complete))) > 1:
+        raise InvalidInputError(f"markers of several people: choose one by --marker-person: {', '.join(found)}")
+    who, best = max(complete, key=lambda key: len(complete[key]))
+    plain = people[who]
+    rows = [(plain[marker], *_placed(sets.point, point, side)) for marker, (point, side) in complete[who, best].items()]
     rows.sort(key=lambda row: names.index(row[0]))
     labels, points, segments, places, sd, skin = zip(*rows, strict=True)
     return MarkerPlaces(labels, points, segments, np.array(places), np.array(sd), np.array(skin), best)

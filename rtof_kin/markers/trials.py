@@ -18,7 +18,7 @@ from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
 from rtof_kin.formats.motion_files import DEFAULT, write_motion_files
-from rtof_kin.markers.fit import MarkerBody, fit_body, marker_residuals, track
+from rtof_kin.markers.fit import MISFIT, MarkerBody, fit_body, marker_residuals, track
 from rtof_kin.markers.marker_sets import places_of
 from rtof_kin.markers.settings import TRIALS, MarkerSettings
 
@@ -73,6 +73,8 @@ class MarkerResult:
             f"{len(body.places.names)} markers ({body.places.set_name}) on a body of {body.skeleton.height:.2f} m, "
             f"{seconds:.1f} s: residual {1000 * self.rms:.1f} mm"
         )
+        if self.rms > MISFIT:
+            text = f"DOES NOT FIT (is the rate of the file right, and are all trials of one person?): {text}"
         missing = 1 - float(np.mean(self.motion.poses.valid.any(axis=1)))
         if missing:
             text += f"; in {100 * missing:.0f} % of the frames too few markers are seen"
@@ -103,7 +105,9 @@ def motion_of_markers(
     how = settings or MarkerSettings()
     trials = [read_trial(file, how.up) for file in (path, *how.trials)]
     names = list(dict.fromkeys(name for trial in trials for name in trial.names))
-    body = fit_body(trials, skeleton, places_of(names, how.marker_table, how.marker_set), progress=progress)
+    body = fit_body(
+        trials, skeleton, places_of(names, how.marker_table, how.marker_set, how.marker_person), progress=progress
+    )
     return MarkerResult(trials[0], body, track(trials[0], body))
 
 

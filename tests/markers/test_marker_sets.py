@@ -15,7 +15,7 @@ from rtof_kin.markers.marker_sets import places_of, read_marker_sets
 
 def test_every_set_is_of_points_and_segments_that_exist() -> None:
     sets, joints = read_marker_sets(), SkeletonModel.default().names
-    assert set(sets.set) == {"plug_in_gait", "helen_hayes", "opencap"}
+    assert {"plug_in_gait", "helen_hayes", "opencap", "cast", "ior", "rajagopal", "qualisys"} == {*sets.set}
     for one in sets.set.values():
         assert {point.partition(".")[0] for point in one.markers.values()} <= {*sets.point}
     assert {point.segment for point in sets.point.values()} <= {*joints}
@@ -37,6 +37,10 @@ def test_both_sides_mirror_each_other() -> None:
     [
         (["Anna:" + name.lower() for name in PLUG_IN_GAIT] + ["Anna:wand"], "plug_in_gait"),
         (["L.ASIS", "R.ASIS", "V.Sacral", "L.Knee.Lat", "R.Knee.Lat", "L.Heel", "R.Heel"], "helen_hayes"),
+        (["LASI", "RASI", "LPSI", "RTH1", "LTH1", "LTB1", "RTB1", "LCAL", "RCAL", "RLFC"], "cast"),
+        (["L.ASIS", "R.ASIS", "L.GTR", "R.GTR", "L.HF", "R.HF", "L.TT", "R.TT", "L.Knee"], "ior"),
+        (["L.ASIS", "R.ASIS", "S2", "L.TH1", "R.TH1", "L.SH1", "R.SH1", "L.Heel", "R.Heel"], "rajagopal"),
+        (["L_IAS", "R_IAS", "L_IPS", "L_FLE", "R_FLE", "L_FAL", "R_FAL", "CV7"], "qualisys"),
         (["L.ASIS_study", "r.ASIS_study", "L.PSIS_study", "L_knee_study", "r_knee_study", "C7_study"], "opencap"),
     ],
 )
@@ -52,6 +56,17 @@ def test_unknown_markers_name_what_is_expected() -> None:
         places_of(["m1", "m2"])
     with pytest.raises(InvalidInputError, match="marker set 'vicon': not in the table; known: plug_in_gait"):
         places_of(PLUG_IN_GAIT, set_name="vicon")
+
+
+def test_one_of_several_people_is_chosen_by_name() -> None:
+    both = [f"{who}:{name}" for who in ("Anna", "Ben") for name in PLUG_IN_GAIT]
+    with pytest.raises(InvalidInputError, match="markers of several people: choose one by --marker-person: Anna, Ben"):
+        places_of(both)
+    places = places_of(both, person="Ben")
+    assert len(places.names) == 39
+    assert all(name.startswith("Ben:") for name in places.names)
+    with pytest.raises(InvalidInputError, match="of no known marker set of Carl"):
+        places_of(both, person="Carl")
 
 
 def test_a_table_of_the_user_adds_a_set(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from marker_support import Planted, planted
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, OutputExistsError
 from rtof_kin.formats.markers import MarkerSequence, write_c3d, write_trc
+from rtof_kin.markers.settings import MarkerSettings
 from rtof_kin.markers.trials import motion_of_markers, read_trial, write_marker_motion
 
 
@@ -52,6 +54,14 @@ def test_a_trial_becomes_a_motion_folder(truth: Planted, tmp_path: Path) -> None
     assert (out / "skeleton.urdf").is_file()
     with pytest.raises(OutputExistsError):
         write_marker_motion(result, out)
+
+
+def test_a_trial_that_does_not_fit_says_so_first(truth: Planted, tmp_path: Path) -> None:
+    """Frames at a tenth of their true distance in time: smoothness and markers contradict each other."""
+    fast = replace(truth.markers[::12], times=truth.markers.times[:5] / 50)
+    fast, slow = write(tmp_path / "fast.npz", fast), write(tmp_path / "slow.npz", truth.markers)
+    result = motion_of_markers(fast, MarkerSettings(trials=(slow,)))
+    assert result.headline.startswith("DOES NOT FIT (is the rate of the file right")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
