@@ -104,13 +104,16 @@ def reconstruct(
 
 def _reconstruct_markers(trial: Path, output: Path, settings: MarkerSettings, overwrite: bool) -> None:
     from rtof_kin.body.motion_file import MOTION
-    from rtof_kin.markers.trials import motion_of_markers, write_marker_motion
+    from rtof_kin.markers.trials import motion_of_markers
+    from rtof_kin.reporting.audit_results import headline
+    from rtof_kin.reporting.export import export_markers
 
     check_replaceable(output, MOTION, overwrite)
     with progress() as update:
         found = motion_of_markers(trial, settings, progress=lambda done, of: update("fitting the body", done, of))
+    results = export_markers(found, output, overwrite)
+    print_headline(headline(results))
     say(found.headline)
-    write_marker_motion(found, output, overwrite)
     say(f"wrote {output}")
 
 

@@ -22,3 +22,4 @@ MODES: Final[tuple[Mode, ...]] = get_args(Mode)
 CAMERA_MODES: Final[tuple[Mode, ...]] = MODES[:-1]
 SPACES: Final[tuple[Space, ...]] = get_args(Space)
 GUARDS: Final[tuple[Guard, ...]] = get_args(Guard)
+MARKERS: Final = "markers"  #: In place of a mode: a motion of optical markers

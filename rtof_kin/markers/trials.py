@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any
 
 import numpy as np
 
-from rtof_kin.body.motion_file import MOTION, MotionWriter
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz_as_saved
-from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
-from rtof_kin.formats.motion_files import DEFAULT, write_motion_files
 from rtof_kin.markers.fit import MISFIT, MarkerBody, fit_body, marker_residuals, track
 from rtof_kin.markers.marker_sets import places_of
 from rtof_kin.markers.settings import TRIALS, MarkerSettings
-
-BODY: Final = "markers.json"
-MODE: Final = "markers"
 
 
 def read_trial(path: str | Path, up: str | None = None) -> MarkerSequence:
@@ -56,6 +49,7 @@ def read_trial(path: str | Path, up: str | None = None) -> MarkerSequence:
 class MarkerResult:
     """The motion of one trial, on the body of all trials of its person."""
 
+    name: str  #: Of the file
     trial: MarkerSequence
     body: MarkerBody
     motion: Motion
@@ -64,6 +58,11 @@ class MarkerResult:
     def rms(self) -> float:
         """Root mean square distance of the markers from those of the body, m."""
         return float(np.sqrt(np.nanmean(marker_residuals(self.trial, self.body, self.motion) ** 2)))
+
+    @property
+    def unseen(self) -> float:
+        """Share of the frames in which too few markers are seen."""
+        return 1 - float(np.mean(self.motion.poses.valid.any(axis=1)))
 
     @property
     def headline(self) -> str:
@@ -75,9 +74,8 @@ class MarkerResult:
         )
         if self.rms > MISFIT:
             text = f"DOES NOT FIT (is the rate of the file right, and are all trials of one person?): {text}"
-        missing = 1 - float(np.mean(self.motion.poses.valid.any(axis=1)))
-        if missing:
-            text += f"; in {100 * missing:.0f} % of the frames too few markers are seen"
+        if self.unseen:
+            text += f"; in {100 * self.unseen:.0f} % of the frames too few markers are seen"
         for name, rms in self.body.left_out.items():
             text += (
                 f"; LEFT OUT {name}, which lies {1000 * rms:.0f} mm from where the others say: exchanged or fallen off?"
@@ -108,18 +106,11 @@ def motion_of_markers(
     body = fit_body(
         trials, skeleton, places_of(names, how.marker_table, how.marker_set, how.marker_person), progress=progress
     )
-    return MarkerResult(trials[0], body, track(trials[0], body))
+    return MarkerResult(Path(path).stem, trials[0], body, track(trials[0], body))
 
 
-def write_marker_motion(
-    result: MarkerResult, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
-) -> None:
-    """Write ``motion.h5``, the URDF and further formats, and ``markers.json`` with body, places and residuals.
-
-    Raises:
-        OutputExistsError: the folder exists and may not be replaced. WritingError: it cannot be written.
-    """
-    check_replaceable(folder, MOTION, overwrite)
+def marker_facts(result: MarkerResult) -> dict[str, Any]:
+    """Return places and residuals of the markers and the bones as plain values, for ``markers.json``."""
     body = result.body
     residuals = marker_residuals(result.trial, body, result.motion)
     rows = {
@@ -133,21 +124,15 @@ def write_marker_motion(
         )
     }
     directions = so3.unit(body.skeleton.joint_offsets[1:])
-    facts = {
+    bones = zip(body.skeleton.bone_lengths.items(), directions, body.sigma_offsets[1:], strict=True)
+    return {
         "headline": result.headline,
         "marker_set": body.places.set_name,
         "height_m": round(body.skeleton.height, 4),
         "bones_m": {
             name: {"length": round(length, 4), "sigma": round(float(np.linalg.norm(along * sigma)), 4)}
-            for (name, length), along, sigma in zip(
-                body.skeleton.bone_lengths.items(), directions, body.sigma_offsets[1:], strict=True
-            )
+            for (name, length), along, sigma in bones
         },
         "markers": rows,
         "left_out_m": body.left_out,
     }
-    with new_folder(folder, MOTION, overwrite) as temporary:
-        with MotionWriter(temporary / MOTION, body.skeleton, mode=MODE) as writer:
-            writer.append(result.motion)
-        write_motion_files(temporary, result.motion, formats)
-        (temporary / BODY).write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")

@@ -28,13 +28,15 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
+from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
+from rtof_kin.markers.trials import MarkerResult, marker_facts
 from rtof_kin.reconstruction.result import Reconstruction, measurements_of
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.audit_results import headline
+from rtof_kin.reporting.audit_results import AuditResult, headline
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SIGMAS
@@ -157,6 +159,51 @@ def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
         out["metrics"] = {stage: _plain(metrics) for stage, metrics in scores.items()}
         out["metrics_per_joint"] = scores[first.mode].per_joint
     return out
+
+
+def marker_audit(found: MarkerResult) -> tuple[AuditResult, ...]:
+    """Return the checks of a marker trial: its fit, markers that contradict it, frames with too few."""
+    left_out = (
+        AuditResult.warning(
+            "streams", name, f"lies {1000 * rms:.0f} mm from where the others say, not used: exchanged or fallen off?"
+        )
+        for name, rms in found.body.left_out.items()
+    )
+    why = "are names, unit and rate right, and all trials of one person?"
+    unseen = "share of frames with too few markers"
+    return (
+        AuditResult("body", "residual of the markers, RMS", "body", 1000 * found.rms, "mm", 15.0, 30.0, note=why),
+        AuditResult("streams", unseen, "markers", found.unseen, "", 0.05, 0.5, note="fill the gaps"),
+        *left_out,
+    )
+
+
+def export_markers(
+    found: MarkerResult, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
+) -> tuple[AuditResult, ...]:
+    """Write the motion of a marker trial as that of a recording, with ``markers.json``; return its checks.
+
+    Raises:
+        OutputExistsError: the folder exists and may not be replaced. WritingError: it cannot be written.
+    """
+    results, facts, poses = marker_audit(found), marker_facts(found), found.motion.poses
+    about = {
+        "recording": found.name,
+        "mode": MARKERS,
+        "verdict": headline(results).plain(),
+        "acknowledgement": "",
+        "frames": len(poses),
+        "rate_hz": poses.rate_hz,
+        "height_m": facts["height_m"],
+        "audit": [result.plain() for result in results],
+    }
+    with new_folder(Path(folder), MARKER, overwrite) as temporary:
+        with MotionWriter(temporary / MARKER, found.body.skeleton, mode=MARKERS) as writer:
+            writer.append(found.motion)
+        write_motion_files(temporary, found.motion, formats)
+        for name, contents in (("summary.json", about), ("markers.json", facts)):
+            (temporary / name).write_text(json.dumps(contents, indent=2) + "\n", encoding="utf-8")
+    return results
 
 
 def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:

@@ -28,6 +28,7 @@ from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.clinical.travel import DRIFT
+from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
@@ -224,6 +225,8 @@ def _knee_bends(analysis: MotionAnalysis) -> list[str]:
 
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
+    if summary.mode == MARKERS:
+        return "optical markers"
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
     names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"

@@ -26,6 +26,8 @@ def test_a_trial_is_reconstructed_and_its_clock_is_found(trial: Path, tmp_path: 
     done.says("39 markers (plug_in_gait) on a body of 1.", "residual")
     assert (tmp_path / "out" / "motion.h5").is_file()
     cli.refused("reconstruct", trial, "-o", tmp_path / "out")
+    cli.ok("report", tmp_path / "out")
+    assert "from optical markers" in (tmp_path / "out" / "report.html").read_text()
     late = trial.with_name("late.trc")
     done = cli.ok("evaluate", tmp_path / "out", "--truth", late, "-o", tmp_path / "errors")
     done.says("Joint angles against late.trc", "-7.25", "estimated among all shifts", "39 markers")

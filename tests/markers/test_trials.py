@@ -14,7 +14,9 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, OutputExistsError
 from rtof_kin.formats.markers import MarkerSequence, write_c3d, write_trc
 from rtof_kin.markers.settings import MarkerSettings
-from rtof_kin.markers.trials import motion_of_markers, read_trial, write_marker_motion
+from rtof_kin.markers.trials import motion_of_markers, read_trial
+from rtof_kin.reporting.export import export_markers
+from rtof_kin.reporting.summary_file import read_summary
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def test_a_trial_becomes_a_motion_folder(truth: Planted, tmp_path: Path) -> None
     file, out = write(tmp_path / "trial.trc", truth.markers), tmp_path / "motion"
     result = motion_of_markers(file)
     assert result.headline.startswith("39 markers (plug_in_gait) on a body of 1.")
-    write_marker_motion(result, out)
+    export_markers(result, out)
     read = Motion.load(out)
     np.testing.assert_allclose(read.poses.p_world_joint, result.motion.poses.p_world_joint, atol=1e-6)
     assert read.skeleton.bone_lengths == pytest.approx(result.body.skeleton.bone_lengths)
@@ -52,8 +54,12 @@ def test_a_trial_becomes_a_motion_folder(truth: Planted, tmp_path: Path) -> None
     assert facts["markers"]["LKNE"]["segment"] == "LeftUpLeg"
     assert facts["markers"]["LKNE"]["rms_mm"] < 15
     assert (out / "skeleton.urdf").is_file()
+    summary = read_summary(out / "summary.json")
+    assert (summary.recording, summary.mode) == ("trial", "markers")
+    assert summary.results is not None
+    assert {result.grade.value for result in summary.results} == {"pass"}
     with pytest.raises(OutputExistsError):
-        write_marker_motion(result, out)
+        export_markers(result, out)
 
 
 def test_a_trial_that_does_not_fit_says_so_first(truth: Planted, tmp_path: Path) -> None:
