@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -94,7 +95,7 @@ def _evaluate_angles(
 
     if isinstance(truth, Path) and truth.suffix.lower() in TRIALS:
         with progress() as update:
-            trial = motion_of_markers(truth, markers, progress=lambda done, of: update("fitting the body", done, of))
+            trial = motion_of_markers(truth, markers, progress=partial(update, "fitting the body"))
         found = against_markers(motion, truth, trial, movement)
     elif isinstance(truth, Path):
         found = against_opensim(motion, truth, movement)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -110,7 +111,7 @@ def _reconstruct_markers(trial: Path, output: Path, settings: MarkerSettings, ov
 
     check_replaceable(output, MOTION, overwrite)
     with progress() as update:
-        found = motion_of_markers(trial, settings, progress=lambda done, of: update("fitting the body", done, of))
+        found = motion_of_markers(trial, settings, progress=partial(update, "fitting the body"))
     results = export_markers(found, output, overwrite)
     print_headline(headline(results))
     say(found.headline)

@@ -103,8 +103,7 @@ class MarkerModel:
     def poses(self, x: Array) -> tuple[Array, Array]:
         """Return joints (T, J, 3), m, and orientations (T, J, 3, 3) of states."""
         parents = self.space.skeleton.parents
-        local = self.space.rotations(x)
-        R = kinematics.world_rotations(parents, _matrices(local))
+        R = kinematics.world_rotations(parents, so3.from_quat_wxyz(self.space.rotations(x)))
         return kinematics.positions(parents, self.offsets, x[:, :3], R), R
 
     def points(self, p: Array, R: Array) -> Array:
@@ -162,16 +161,6 @@ class MarkerModel:
         blocks = self.precision.reshape(joints, 3, joints, 3)
         turned = np.einsum("tajk,ajbl,tblm->takbm", inverse, blocks, inverse, optimize=True)
         hessian[:, 6:, 6:] += turned.reshape(T, 3 * joints, 3 * joints)
-
-
-def _matrices(quaternions: Array) -> Array:
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 class MarkerTrial:

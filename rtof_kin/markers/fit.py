@@ -28,7 +28,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.formats.markers import MarkerSequence, rate_hz
 from rtof_kin.markers.energy import MarkerModel, MarkerTrial
 from rtof_kin.markers.marker_sets import MarkerPlaces, places_of
 
@@ -130,12 +130,11 @@ def track(trial: MarkerSequence, body: MarkerBody) -> Motion:
         InvalidInputError: no frame shows the pelvis' markers.
     """
     skeleton, observed = body.skeleton, _of(trial, body.places)
-    rate_hz = (len(trial) - 1) / float(trial.times[-1] - trial.times[0]) if len(trial) > 1 else 1.0
     model = _model(skeleton, body.places, _WIDE)
     x = _start(model, skeleton, body.places, observed)
     for first in range(0, len(x), _WINDOW):
         own = slice(max(first - _OVERLAP, 0), min(first + _WINDOW + _OVERLAP, len(x)))
-        problem = MarkerTrial(model, observed[own], rate_hz)
+        problem = MarkerTrial(model, observed[own], rate_hz(trial.times))
         solved = LevenbergMarquardt(problem).solve(x[own], 60, 1e-7)
         x[first : own.stop] = solved.x[first - own.start :]
     p, R = model.poses(x)
@@ -348,14 +347,14 @@ class _BodyFit:
             out[:, k, :, n + 3 * k : n + 3 * k + 3] = R[:, s] * self.places.sigma_place[k]
         return out
 
-    def _prior(self, y: Array) -> tuple[float, Array, Array]:
-        """Return value, gradient and Hessian of the body's prior with the hip regression."""
+    def _prior_slope(self, y: Array) -> tuple[Array, Array]:
+        """Return gradient and Hessian of the body's prior with the hip regression."""
         gradient, hessian, residual = y.copy(), np.eye(len(y)), self._hips(y)
         if len(residual):
             rates = np.stack([(self._hips(y + d) - residual) / 1e-5 for d in 1e-5 * np.eye(len(y))], axis=1)
             gradient += rates.T @ residual
             hessian += rates.T @ rates
-        return self._prior_value(y), _ALIKE * gradient, _ALIKE * hessian
+        return _ALIKE * gradient, _ALIKE * hessian
 
     def _hips(self, y: Array) -> Array:
         """Return deviations of the hip joint centres from their regression, in its standard deviations."""
@@ -378,13 +377,9 @@ class _BodyFit:
         return np.concatenate(out) / _HIP
 
     def _energy(self, x: Array, y: Array) -> float:
-        prior = self._prior_value(y)
-        self._set(y)
+        hips = self._hips(y)  # which sets the body
+        prior = _ALIKE * 0.5 * float(y @ y + hips @ hips)
         return float(self.model.energies(x, self.observed).sum()) + prior
-
-    def _prior_value(self, y: Array) -> float:
-        hips = self._hips(y)
-        return _ALIKE * 0.5 * float(y @ y + hips @ hips)
 
     def settle(self, rounds: int) -> None:
         """Optimise the postures on the body as it is, each frame by itself, with damping where a step fails."""
@@ -430,7 +425,7 @@ class _BodyFit:
 
     def _eliminated(self) -> tuple[Array, Array, Callable[[Array], Array]]:
         """Return Hessian and gradient by y with the postures eliminated, and the postures' step for a step of y."""
-        _, slope, information = self._prior(self.y)
+        slope, information = self._prior_slope(self.y)
         self._set(self.y)
         at = self.model.linearise(self.x, self.observed)
         T, D = len(self.x), self.model.space.size

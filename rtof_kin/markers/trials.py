@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
@@ -54,10 +56,15 @@ class MarkerResult:
     body: MarkerBody
     motion: Motion
 
+    @cached_property
+    def residuals(self) -> Array:
+        """Distances (T, K) of the trial's markers from those of the body, m; NaN where missing."""
+        return marker_residuals(self.trial, self.body, self.motion)
+
     @property
     def rms(self) -> float:
-        """Root mean square distance of the markers from those of the body, m."""
-        return float(np.sqrt(np.nanmean(marker_residuals(self.trial, self.body, self.motion) ** 2)))
+        """Root mean square of the residuals, m."""
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
 
     @property
     def unseen(self) -> float:
@@ -112,7 +119,6 @@ def motion_of_markers(
 def marker_facts(result: MarkerResult) -> dict[str, Any]:
     """Return places and residuals of the markers and the bones as plain values, for ``markers.json``."""
     body = result.body
-    residuals = marker_residuals(result.trial, body, result.motion)
     rows = {
         name: {
             "segment": segment,
@@ -120,7 +126,7 @@ def marker_facts(result: MarkerResult) -> dict[str, Any]:
             "rms_mm": round(1000 * float(np.sqrt(np.nanmean(own**2))), 2) if np.isfinite(own).any() else None,
         }
         for name, segment, place, own in zip(
-            body.places.names, body.places.segments, body.places.p_bone_marker, residuals.T, strict=True
+            body.places.names, body.places.segments, body.places.p_bone_marker, result.residuals.T, strict=True
         )
     }
     directions = so3.unit(body.skeleton.joint_offsets[1:])
