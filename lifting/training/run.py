@@ -84,6 +84,7 @@ def step_seed(seed: int, step: int) -> int:
     return seed * 1_000_003 + step
 
 
+FURTHER: Final = 0.05  #: First factor of layers that a lifter of a shorter receptive field lacks
 VALIDATION_RARITY: Final = 19.0  #: Least time between two validations, in durations of one: they take 5 %
 
 
@@ -243,13 +244,16 @@ class Run:
     def start(self, lifter: str | Path) -> None:
         """Begin with the weights of another lifter, a file or a name, see `rtof_kin.core.resources.lifter_path`.
 
+        One of a shorter receptive field answers for the middle of the window; further layers start near zero beside it.
+
         Raises:
             FileFormatError: it is not a lifter, or does not fit.
         """
         path = lifter_path(lifter)
         network, description = checkpoint.load_checkpoint(path)
         other = description.network
-        mine = replace(self.network.config, causal=other.causal, dropout=other.dropout)
+        widths, known = self.network.config.filter_widths, len(other.filter_widths)
+        mine = replace(self.network.config, causal=other.causal, dropout=other.dropout, filter_widths=widths[:known])
         if other != mine or description.body.names != self.body.names:
             raise FileFormatError(
                 path,
@@ -257,8 +261,12 @@ class Run:
                 f"{mine.channels} channels and {len(self.body.names)} joints, or of other layers or sensors: "
                 "start from one that fits",
             )
+        further = [f"pointwise.{layer}.norm.weight" for layer in range(known - 1, len(widths) - 1)]
         for own in (self.network, self.averaged):
-            own.load_state_dict(network.state_dict())
+            own.load_state_dict(network.state_dict(), strict=len(widths) == known)
+            for name, weight in own.named_parameters():
+                if name in further:
+                    nn.init.constant_(weight, FURTHER)
         self.started_from = hashlib.sha256(path.read_bytes()).hexdigest()
 
     def restore(self, path: Path) -> None:

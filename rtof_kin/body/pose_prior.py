@@ -32,6 +32,9 @@ SPINE: Final = ("Spine", "Spine1", "Spine2", "Spine3")
 CLAVICLES: Final = ("LeftShoulder", "RightShoulder")
 HIPS: Final = ("LeftUpLeg", "RightUpLeg")
 JOINTS: Final = (*SPINE, *CLAVICLES, *HIPS)  #: Joints of a posture
+RHYTHM: Final = np.diag([0.25, 0.0, 0.15])
+"""Turn of a clavicle by the turn of the arm relative to it: about x (elevation), y, z (protraction). An arm
+that is lowered by 90 degrees lowers it by 20 (scapulohumeral rhythm)."""
 _LEVEL, _UPRIGHT, _STILL = np.radians(25.0), np.radians(20.0), 0.5
 """Largest angles: arms to the horizontal, thighs and trunk to the vertical, rad; angular speed, rad/s."""
 _SHORTEST: Final = 0.2  #: Shortest T-pose, s
@@ -164,7 +167,7 @@ class PosePrior:
         of persons about theirs where it is known.
 
         Where a take begins with a T-pose, the bends of the spine there are those of its median; arms hang
-        in the mean, which lowers the clavicles as the covariance of the two says; hips are flexed from the
+        in the mean, which lowers the clavicles by the `RHYTHM` of the two; hips are flexed from the
         person's T-pose as from anybody's.
         """
         mean = so3.from_quat_wxyz(self.mean_quat_wxyz)
@@ -172,9 +175,7 @@ class PosePrior:
             j = self.joints.index(joint) - 1
             if joint in CLAVICLES:
                 arm = self.joints.index(joint.replace("Shoulder", "Arm")) - 1
-                own, of_arm = (slice(3 * i, 3 * i + 3) for i in (j, arm))
-                share = self.covariance[own, of_arm] @ np.linalg.inv(self.covariance[of_arm, of_arm])
-                mean[j] = R @ so3.exp(share @ so3.log(mean[arm]))
+                mean[j] = R @ so3.exp(RHYTHM @ so3.log(mean[arm]))
             else:
                 mean[j] = R @ mean[j] if joint in HIPS else R
         known = self.covariance_about_posture

@@ -2,10 +2,15 @@
 
 Every motion counts twice, as it is and mirrored; orientations are low-passed at 10 Hz, as optical markers jitter.
 
+A person counts at most `LONGEST_S` of motion, in frames spread over all of it: the covariance of all rigs and people
+has the differences between persons, and these want many persons, not many minutes. (Between- and within-person
+covariances weighted apart gained nothing on held-out people: one view does not show a person's constants.)
+
 Rigs differ in where the trunk bends (CMU's at two of four joints, others at one or at all) and in how much
-clavicles move (hardly, in free corpora). So where they are mixed, the bend between pelvis and upper trunk,
-which they agree on, is shared evenly by the four joints of the spine, and clavicles follow the arms as those
-of people do. The prior of a laboratory that records and judges with one rig keeps the trunk of that rig.
+clavicles move (hardly, in free joint rotations). So where they are mixed, the bend between pelvis and upper trunk,
+which they agree on, is shared evenly by the four joints of the spine, and the clavicles are a mixture, in equal
+parts, of those of the motion and of ones that follow the arms as those of people do. The prior of a laboratory that
+records and judges with one rig keeps the trunk of that rig.
 """
 
 from __future__ import annotations
@@ -17,22 +22,20 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.pose_prior import CLAVICLES, JOINTS, SPINE, NeutralPosture, PosePrior
+from rtof_kin.body.pose_prior import CLAVICLES, JOINTS, RHYTHM, SPINE, NeutralPosture, PosePrior
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
 CUTOFF_HZ, LEAST_JERK = 10.0, 200.0
 LEAST_SUBJECTS: Final = 3  #: Fewest persons of known posture from whom the spread about the own posture is estimated
+LONGEST_S: Final = 120.0  #: Motion of one person that counts, s
 SHRINK_S: Final = 60.0  #: Duration of motion that a known prior counts for, s
 UNEVEN = np.radians([2.0, 3.0, 2.0])
 """Standard deviation of a joint of the spine about its share of the bend, about x, y, z, rad."""
-RHYTHM = np.diag([0.25, 0.0, 0.15])
-"""Turn of a clavicle by the turn of the arm relative to it: about x (elevation), y, z (protraction). An arm
-that is lowered by 90 degrees lowers it by 20 (scapulohumeral rhythm)."""
 LOWERED = np.radians(4.0)
-"""Mean of the clavicles below their T-pose, with arms that mostly hang, rad: between rigs whose clavicles
-follow the arms and rigs whose clavicles do not move."""
+"""Mean of following clavicles below their T-pose, with arms that mostly hang, rad."""
+FOLLOWING: Final = 0.5  #: Share of clavicles that follow the arms in a prior of several rigs
 CLAVICLE = np.radians([6.0, 5.0, 6.0])  #: Standard deviation of a clavicle about what the arm tells, rad
 LEAST = np.radians(0.3)  #: Smallest standard deviation of any combination of joints, rad
 TRUNK: Final = (*SPINE, "Neck")  #: Joints whose distances along the trunk tell rigs apart
@@ -64,6 +67,8 @@ def fit_pose_prior(
     even_spine: bool = True,
     postures: Mapping[str, NeutralPosture] | None = None,
     known: PosePrior | None = None,
+    following: float = FOLLOWING,
+    longest_s: float = LONGEST_S,
 ) -> PosePrior:
     """Return the prior of motions.
 
@@ -73,14 +78,22 @@ def fit_pose_prior(
         postures: of subjects whose T-pose is known; from `LEAST_SUBJECTS` on, the covariance about the person's own
             posture is estimated too, and kept if it is the smaller one.
         known: prior that counts as `SHRINK_S` of motion beside the motions; None counts nothing.
+        following: share of clavicles that follow the arms, where rigs are several. longest_s: motion of one person
+            that counts, s.
     """
     other = _other_side(names)
-    local, jerk, root_jerk = zip(*(_observed(parents, motion) for motion in motions), strict=True)
+    seconds = {m.subject: 0.0 for m in motions}
+    for m in motions:
+        seconds[m.subject] += len(m.R_world_bone) / m.rate_hz
+    steps = [max(1, round(seconds[m.subject] / longest_s)) for m in motions]
+    local, jerk, root_jerk = zip(
+        *([x[::step] for x in _observed(parents, m)] for m, step in zip(motions, steps, strict=True)), strict=True
+    )
     both = [part for own in local for part in (own, _MIRROR @ own[:, other] @ _MIRROR)]
     mean, vectors = _mean(np.concatenate(both)[:, 1:])
     covariance = np.cov(vectors.reshape(len(vectors), -1).T)
     if even_spine:
-        mean, covariance = of_mixed_rigs(names, mean, covariance)
+        mean, covariance = of_mixed_rigs(names, mean, covariance, following)
     size = np.sqrt((np.concatenate(jerk) ** 2).sum(axis=-1).mean(axis=0) / 3)
     prior = PosePrior(
         tuple(names),
@@ -94,9 +107,9 @@ def fit_pose_prior(
         for subject in sorted({m.subject for m in motions} & (postures or {}).keys())
     }
     if postures and len(persons) >= LEAST_SUBJECTS:
-        prior = _with_postures(prior, [(postures[s], own) for s, own in persons.items()], even_spine)
-    seconds = sum(len(m.R_world_bone) / m.rate_hz for m in motions)
-    return prior if known is None else shrunk(prior, known, SHRINK_S / (SHRINK_S + seconds))
+        own = [(postures[s], rotations) for s, rotations in persons.items()]
+        prior = _with_postures(prior, own, following if even_spine else None)
+    return prior if known is None else shrunk(prior, known, SHRINK_S / (SHRINK_S + sum(seconds.values())))
 
 
 def _other_side(names: Sequence[str]) -> list[int]:
@@ -124,7 +137,9 @@ def _mean(local: Array) -> tuple[Array, Array]:
     return mean, vectors
 
 
-def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Array]], even_spine: bool) -> PosePrior:
+def _with_postures(
+    prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Array]], following: float | None
+) -> PosePrior:
     """Add the covariance of rotations (T, J, 3, 3) of persons about the means that their postures give them,
     if the posture's joints have less variance about these.
     """
@@ -137,8 +152,8 @@ def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Arr
     swap = np.eye(size // 3)[np.array(_other_side(prior.joints))[1:] - 1]
     mirror = np.kron(swap, -_MIRROR)  # rotation vectors change sign in a mirror, but for the part across it
     about = (moment + mirror @ moment @ mirror.T) / 2
-    if even_spine:
-        about = of_mixed_rigs(prior.joints, so3.from_quat_wxyz(prior.mean_quat_wxyz), about)[1]
+    if following is not None:
+        about = of_mixed_rigs(prior.joints, so3.from_quat_wxyz(prior.mean_quat_wxyz), about, following)[1]
     about = _firm(about)
     rows = np.ravel([3 * (prior.joints.index(joint) - 1) + np.arange(3) for joint in JOINTS])
     smaller = np.diagonal(about)[rows].sum() < np.diagonal(prior.covariance)[rows].sum()
@@ -148,7 +163,7 @@ def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Arr
 def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
     """Return the prior with the moments of a mixture of two. share: of the known one, 0 to 1."""
     mean, other = (so3.from_quat_wxyz(p.mean_quat_wxyz) for p in (prior, known))
-    apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
+    mean, covariance = _mixture(mean, other, prior.covariance, known.covariance, share)
 
     def mixed(own: Array, given: Array) -> Array:
         return (1 - share) * own + share * given
@@ -159,12 +174,19 @@ def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
         about = mixed(about, known.covariance if given is None else given)
     return PosePrior(
         prior.joints,
-        so3.to_quat_wxyz(mean @ so3.exp(share * apart)),
-        mixed(prior.covariance, known.covariance) + share * (1 - share) * np.outer(apart, apart),
+        so3.to_quat_wxyz(mean),
+        covariance,
         np.sqrt(mixed(prior.sigma_jerk**2, known.sigma_jerk**2)),
         float(np.sqrt((1 - share) * prior.sigma_root_jerk**2 + share * known.sigma_root_jerk**2)),
         about,
     )
+
+
+def _mixture(mean: Array, other: Array, covariance: Array, others: Array, share: float) -> tuple[Array, Array]:
+    """Moments of a mixture of two: means (J - 1, 3, 3), covariances (3 (J - 1), 3 (J - 1)), share of the other one."""
+    apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
+    spread = (1 - share) * covariance + share * others + share * (1 - share) * np.outer(apart, apart)
+    return mean @ so3.exp(share * apart), spread
 
 
 def _firm(covariance: Array) -> Array:
@@ -173,25 +195,24 @@ def _firm(covariance: Array) -> Array:
     return np.asarray(axes * np.maximum(values, LEAST**2) @ axes.T)
 
 
-def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array) -> tuple[Array, Array]:
+def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array, following: float) -> tuple[Array, Array]:
     """Return the prior, mean (J - 1, 3, 3) and covariance of rotation vectors, of motions of several rigs: with the
-    bend of the trunk shared evenly (mean, variance and correlations), and clavicles that follow the arms.
+    bend of the trunk shared evenly (mean, variance and correlations), and clavicles a share of which follow the arms.
     """
     spine = [names.index(joint) - 1 for joint in SPINE]
-    mean, share = mean.copy(), np.zeros((len(mean), len(mean)))
+    mean, share = mean.copy(), np.eye(len(mean))
     bend = so3.log(mean[spine[0]] @ mean[spine[1]] @ mean[spine[2]] @ mean[spine[3]])
     mean[spine] = so3.exp(bend / len(spine))
-    np.fill_diagonal(share, 1.0)
     share[np.ix_(spine, spine)] = 1 / len(spine)
     average = np.kron(share, np.eye(3))
     uneven = np.zeros_like(share)
     uneven[np.ix_(spine, spine)] = np.eye(len(spine)) - 1 / len(spine)
     covariance = average @ covariance @ average.T + np.kron(uneven, np.diag(UNEVEN**2))
-    follow, own = np.eye(len(covariance)), np.zeros(len(covariance))
+    lowered, follow, own = mean.copy(), np.eye(len(covariance)), np.zeros(len(covariance))
     for joint in CLAVICLES:
         j, arm = (names.index(n) - 1 for n in (joint, joint.replace("Shoulder", "Arm")))
         rows = slice(3 * j, 3 * j + 3)
         follow[rows, rows], follow[rows, 3 * arm : 3 * arm + 3] = 0.0, RHYTHM
         own[rows] = CLAVICLE**2
-        mean[j] = so3.about_axis("x", -LOWERED if joint.startswith("Left") else LOWERED)
-    return mean, follow @ covariance @ follow.T + np.diag(own)
+        lowered[j] = so3.about_axis("x", -LOWERED if joint.startswith("Left") else LOWERED)
+    return _mixture(mean, lowered, covariance, follow @ covariance @ follow.T + np.diag(own), following)

@@ -192,7 +192,7 @@ def export(
     are marked or missing in every format.
 
     --to archive makes one ZIP file of recording, settings, versions and result, without names and video. --to onnx
-    writes a lifter, MOTION being its file or name (detections, perfect), as one graph from rays and sensor orientations
+    writes a lifter, MOTION being its file or name (detections, live), as one graph from rays and sensor orientations
     in world to poses in world; its inputs, outputs, joints and rate are in the metadata. It needs the package onnx.
 
     Args:

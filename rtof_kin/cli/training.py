@@ -36,8 +36,8 @@ def train(
     settings: Annotated[
         dict[str, Any],
         Fields(
-            "windows minutes channels dropout causal prior batch learning_rate weight_decay ema bfloat16 "
-            "validation_windows device seed deterministic",
+            "windows minutes receptive_field channels dropout causal prior batch learning_rate weight_decay ema "
+            "bfloat16 validation_windows device seed deterministic",
             of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),

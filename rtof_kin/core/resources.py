@@ -9,9 +9,9 @@ from rtof_kin.core.errors import FileFormatError
 
 PACKAGED = Path(__file__).parents[1] / "models"  #: Models folder of an installed package
 CHECKOUT = Path(__file__).parents[2] / "models"  #: Models folder of a source checkout
-LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt"}
-"""Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth."""
-DEFAULT_LIFTER = "detections"
+LIFTERS = {"detections": "lifter.pt", "live": "lifter_live.pt"}
+"""Shipped lifters. detections: of recordings, sees 81 frames. live: sees 27 as the paper's, with less delay."""
+DEFAULT_LIFTER, LIVE_LIFTER = "detections", "live"
 
 
 def cache_folder() -> Path:

@@ -27,13 +27,14 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.special import gammaln
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.pose_prior import has_prior, shipped_prior
+from rtof_kin.body.pose_prior import PosePrior, has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
@@ -306,10 +307,10 @@ def _summed(values: Array, memory: float) -> float:
 
 @cache
 def _sampled_poses(names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000) -> tuple[Array, Array]:
-    """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later, in which every joint
-    moves by a hundredth of another draw from the prior.
+    """Return R_world_bone (N, J, 3, 3) of poses of upright people with heading 0, and a moment later, in which every
+    joint moves by a hundredth of another draw from their prior; that of the solver, with people who lie, tells less.
     """
-    prior = shipped_prior(names)
+    prior = PosePrior.load(names, model_path("upright_prior.npz"))
     rng = np.random.default_rng(0)
     size = len(prior.covariance)
     root = np.linalg.cholesky(prior.covariance + 1e-9 * np.eye(size))

@@ -21,6 +21,7 @@ from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
+from rtof_kin.core.resources import LIVE_LIFTER
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -32,6 +33,7 @@ from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.live.window import StatedErrors, Window
 from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.terms import TORSO
 
 if TYPE_CHECKING:
     from lifting.predict import Lifter
@@ -113,7 +115,7 @@ class OnlineEstimator:
         from lifting.streaming import StreamingLifter
 
         return StreamingLifter(
-            lifter or Lifter.load(),
+            lifter or Lifter.load(LIVE_LIFTER),
             self._camera,
             self.skeleton.joint_offsets,
             floor_height,
@@ -293,7 +295,7 @@ class OnlineEstimator:
         if known:
             window.lift(list(known), list(known.values()), self._images)
             if self._errors is not None and i in known:
-                self._errors.lifted(known[i].sigma_rad[list(self._window.torso)])
+                self._errors.lifted(known[i].sigma_rad[list(self.skeleton.index(*TORSO))])
             self._images, self._lifted = 0, frame
         if i in known and frame % _CHECK_EVERY == 0:
             self._check(i, known[i], sample)

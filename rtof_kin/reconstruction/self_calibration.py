@@ -32,6 +32,7 @@ from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_feet
+from rtof_kin.reconstruction.checks.camera import check_camera_alone
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
@@ -443,9 +444,9 @@ def _check_belonging(
     cause = "the sensors do not belong to this video"
     advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
     if explained < least:
-        form = check_sensor_form(job.recording)
+        form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
         if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
-            return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
+            return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or something is not as declared")
         carriers = {joint for joint, _ in job.subject.sensors.values()}
         carriers |= {job.subject.names[j] for j in columns}
         anywhere = list(job.subject.index(*sorted(carriers)))

@@ -53,7 +53,7 @@ class ReconstructionTask:
     imu: sensors only, without a camera; default: the one that uses all that was recorded."""
     model: Path | None = None
     """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
-    perfect."""
+    live (of the live commands)."""
     calibrate: bool = False
     """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
     calibration: Path | None = None

@@ -41,7 +41,7 @@ RIGS = ("cmu_bvh", "cmu_hanging_arms", "total_capture_like")
 def test_sf2_is_no_worse_than_the_lift(rig: str) -> None:
     lifter = Lifter.load()
     for sensors in ("8", "10"):
-        for kind, most in (("perfect", 5.0), ("realistic", 0.0)):
+        for kind, most, most_deg in (("perfect", 5.0, 1.5), ("realistic", 0.0, 1.0)):
             change = []
             for clip in clips(rig):
                 for camera in (0, 2):
@@ -51,7 +51,7 @@ def test_sf2_is_no_worse_than_the_lift(rig: str) -> None:
                     change.append([scores["sf2"][name] - scores["lift"][name] for name in figures])
             mm, degrees = np.mean(change, axis=0)
             assert mm < most, (kind, sensors, change)
-            assert degrees < 1.0, (kind, sensors, change)
+            assert degrees < most_deg, (kind, sensors, change)
 
 
 @pytest.mark.parametrize("rig, most", [("cmu_bvh", 8.0), ("cmu_hanging_arms", 8.0), ("total_capture_like", 0.0)])

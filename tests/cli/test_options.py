@@ -62,13 +62,13 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
 
 
 def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    options = "--paper --guards none --no-lift-with-sensors --model perfect"
+    options = "--paper --guards none --no-lift-with-sensors --model live"
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["energy"]) == ("cartesian", "as printed")
     assert (found["fragment"]["k_V"], found["fragment"]["as_printed"]) == (0.9, True)
     assert (found["guards"], found["lift_with_sensors"]) == ("", False)
-    assert found["lifter"] == "perfect"
+    assert found["lifter"] == "live"
     assert "stream_faults" not in summary
 
 

@@ -80,4 +80,4 @@ def test_a_heading_for_each_is_found() -> None:
     found = own_headings(LIKELIHOOD, misread(angles), R_POSE)
     off = np.degrees(np.abs(wrapped(found.angles - angles)))
     assert off[:2].max() < 12
-    assert off[2] < 30  # the pelvis: no hinge of its own
+    assert off[2] < 45  # the pelvis: no hinge of its own

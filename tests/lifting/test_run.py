@@ -18,11 +18,11 @@ from lifting.predict import Lifter
 from lifting.training import train as curves
 from lifting.training.corpus import Corpus
 from lifting.training.data import plain
-from lifting.training.run import Prefetch
+from lifting.training.run import Prefetch, Run
 from lifting.training.settings import TrainConfig
 from lifting.training.train import train
 from rtof_kin import cli
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 
 QUICK = TrainConfig(
     windows=64,
@@ -77,8 +77,22 @@ def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> 
     message = "a lifter of 8 channels and 21 joints; this training is of 9 channels"
     with pytest.raises(FileFormatError, match=message):
         train(replace(QUICK, channels=9), corpus, tmp_path / "other.pt", start=path)
-    with pytest.raises(FileFormatError, match=r"lifter_perfect\.pt: .*start from one that fits"):
-        train(QUICK, corpus, tmp_path / "other.pt", start="perfect")
+    with pytest.raises(FileFormatError, match=r"lifter_live\.pt: .*start from one that fits"):
+        train(QUICK, corpus, tmp_path / "other.pt", start="live")
+
+
+def test_a_start_of_a_shorter_receptive_field_answers_first_for_the_middle(corpus: Corpus, tmp_path: Path) -> None:
+    start = train(replace(QUICK, windows=320, receptive_field=9), corpus, tmp_path / "short.pt")
+    short = load_checkpoint(start)[0].eval()
+    for run in (Run(replace(QUICK, receptive_field=27), corpus), Run(replace(QUICK, receptive_field=81), corpus)):
+        run.start(start)
+        size, shape = run.network.receptive_field(), run.network.config
+        features, constants = torch.randn(4, size, shape.inputs), torch.randn(4, shape.constants)
+        middle = features[:, (size - 9) // 2 : (size + 9) // 2]
+        own, known = run.averaged(features, constants), short(middle, constants)
+        assert torch.linalg.norm(own - known) < 0.2 * torch.linalg.norm(known)
+    with pytest.raises(InvalidInputError, match="receptive_field is 30"):
+        replace(QUICK, receptive_field=30)
 
 
 def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None:

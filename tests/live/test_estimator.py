@@ -11,6 +11,7 @@ import pytest
 from live_support import demo, frame_samples, imu_samples
 from numpy.typing import NDArray
 
+from lifting.predict import Lifter
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, ShapeError
@@ -74,12 +75,13 @@ def batch_mm() -> float:
     recording = replace(demo(), keypoints=demo().video[: round(SECONDS * 60)])
     truth = recording.truth
     assert truth is not None
-    p, q = reconstruct(recording).motion.poses.p_world_joint, truth.p_world_joint[: round(SECONDS * 60)]
+    motion = reconstruct(recording, lifter=Lifter.load("live")).motion
+    p, q = motion.poses.p_world_joint, truth.p_world_joint[: round(SECONDS * 60)]
     return float(1000 * np.linalg.norm((p - p[:, :1]) - (q - q[:, :1]), axis=-1).mean())
 
 
-def test_a_quarter_of_a_second_late_it_is_as_accurate_as_reconstruction() -> None:
-    assert errors_mm(usual()).mean() < 1.15 * batch_mm()
+def test_a_quarter_of_a_second_late_it_is_nearly_as_accurate_as_reconstruction() -> None:
+    assert errors_mm(usual()).mean() < 1.25 * batch_mm()
 
 
 def test_at_once_it_is_a_little_less_accurate() -> None:

@@ -133,7 +133,7 @@ def test_errors_are_those_of_the_written_motion(measured: Path) -> None:
     write_results(against_opensim(Motion.load(motion), mot, "walk"), out / "own")
     again = read_json(out / "own" / "tables.json")["rows"]
     for name in ("rmse_deg", "mae_deg", "median_deg", "offset_deg"):
-        assert again[0][name] == pytest.approx(overall[name], rel=1e-6)
+        assert again[0][name] == pytest.approx(overall[name], rel=1e-5)
 
 
 def test_it_goes_on_where_it_was_stopped(sets: Path, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:

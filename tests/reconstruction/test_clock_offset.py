@@ -54,7 +54,7 @@ def test_right_clocks_are_not_named_and_a_detectors_delay_leaves_the_sensors(dem
 def test_sensors_on_a_wrong_clock_are_corrected_and_named(demo: Recording, seconds: float) -> None:
     right, wrong = (found(late(demo.between(5.0, 13.0), s)) for s in (0.0, seconds))
     assert wrong.delay.value[0] == pytest.approx(right.delay.value[0] - seconds, abs=0.015)
-    assert wrong.applied.sensors_late == pytest.approx(seconds, abs=0.03)
+    assert wrong.applied.sensors_late == pytest.approx(seconds, abs=0.04)  # the detector's delay
     assert ("late" if seconds > 0 else "early") in wrong.warnings[0]
     assert "corrected" in wrong.warnings[0]
 

@@ -205,17 +205,12 @@ def test_segments_of_one_bone_take_the_observed_twist(oriented: PoseSequence) ->
         assert so3.angle_between(out.R_world_bone[:, j], by_position).max() > 0.05
 
 
-def test_root_and_leaves_take_observed_orientations_and_other_forks_the_mean(oriented: PoseSequence) -> None:
+def test_segments_with_several_bones_or_none_take_observed_orientations(oriented: PoseSequence) -> None:
     out = refine(oriented, oriented=True).R_world_bone
     assert {SKELETON.names[j] for j in OTHERS} >= {"Hips", "Spine3", "Head", "LeftHand", "RightFoot"}
     seen, by_position = oriented.R_world_bone, refine(oriented).R_world_bone
     assert so3.angle_between(by_position, seen)[:, OTHERS].max(axis=0).min() > 0.05
-    whole = [j for j in OTHERS if not CHILDREN[j] or j == 0]
-    assert so3.angle_between(out[:, whole], seen[:, whole]).max() < 1e-7
-    several = [j for j in OTHERS if j not in whole]
-    apart = so3.angle_between(by_position, seen)[:, several]
-    for other in (seen, by_position):
-        np.testing.assert_allclose(so3.angle_between(out, other)[:, several], apart / 2, atol=1e-7)
+    assert so3.angle_between(out[:, OTHERS], seen[:, OTHERS]).max() < 1e-7
 
 
 def test_missing_orientations_follow_from_positions(oriented: PoseSequence) -> None:

@@ -20,7 +20,7 @@ from rtof_kin.inertial.root_path import FEET, ContactPoints
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.terms import TORSO
+from rtof_kin.solve.joint_space.terms import ANCHORED, TORSO
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.vision.image_points import detector_points, image_points
 
@@ -30,6 +30,7 @@ N, T = 8, 20
 SETTINGS = JointSpaceSettings(sigma_torso=0.3, torso_inflation=2.5, refit_root=False)
 POSES = planted.human(BODY, T).poses
 HIPS, CHEST = BODY.index(*TORSO)
+ANCHORS = list(BODY.index(*ANCHORED))  # pelvis and upper trunk first
 
 
 def start(sigma_rad: Array | None = None) -> PoseSequence:
@@ -45,7 +46,7 @@ def observed(
 def weights(
     sigma_rad: Array | None = None, imus: BoneImuSequence | None = None, settings: JointSpaceSettings = SETTINGS
 ) -> Array:
-    """(T, 2) of the pelvis and the upper trunk."""
+    """(T, 5) of the pelvis, the upper trunk, the neck and the clavicles."""
     return observed(start(sigma_rad), imus, settings).rows["w_torso"]
 
 
@@ -59,7 +60,7 @@ def worn(*joints: str) -> BoneImuSequence:
 
 def test_torso_weights_follow_the_sigma_of_the_guess() -> None:
     sigma = sigmas()
-    expected = 1 / (2.5 * sigma[:, [HIPS, CHEST]]) ** 2
+    expected = 1 / (2.5 * sigma[:, ANCHORS]) ** 2
     np.testing.assert_allclose(weights(sigma), expected)
     assert np.ptp(expected[:, 0] / expected[:, 1]) > 1
 
@@ -70,7 +71,7 @@ def test_torso_weights_default_to_the_settings() -> None:
     sigma[12, CHEST] = np.nan
     found = weights(sigma)
     np.testing.assert_allclose(found[3:7], 1 / 0.3**2)
-    np.testing.assert_allclose(found[12], [1 / (2.5 * sigma[12, HIPS]) ** 2, 1 / 0.3**2])
+    np.testing.assert_allclose(found[12, :2], [1 / (2.5 * sigma[12, HIPS]) ** 2, 1 / 0.3**2])
 
 
 @pytest.mark.parametrize("sigma", [None, sigmas()])
@@ -78,7 +79,7 @@ def test_sensor_replaces_the_anchor_of_its_segment(sigma: Array | None) -> None:
     without = weights(sigma)
     for joints, free in ((("Hips",), [0]), (("Spine3",), [1]), (("Hips", "Spine3"), [0, 1])):
         found = weights(sigma, worn("LeftArm", *joints))
-        anchored = [i for i in (0, 1) if i not in free]
+        anchored = [i for i in range(len(ANCHORS)) if i not in free]
         assert np.all(found[:, free] == 0)
         np.testing.assert_allclose(found[:, anchored], without[:, anchored])
     np.testing.assert_allclose(weights(sigma, worn("LeftArm", "Head", "RightLeg")), without)
@@ -101,7 +102,7 @@ def test_weights_are_zero_in_the_padding() -> None:
     _, inside, data = problem.fragment(-3)
     assert inside.tolist() == [False] * 3 + [True] * 5
     found = data.observation["w_torso"]
-    assert found.shape == (N, 2)
+    assert found.shape == (N, len(ANCHORS))
     assert np.all(found[:3] == 0)
     np.testing.assert_allclose(found[3:], weights(sigma)[:5])
 

@@ -31,7 +31,9 @@ from rtof_kin.vision.image_points import ImagePoints
 if TYPE_CHECKING:
     from rtof_kin.solve.joint_space.observations import Observations
 
-TORSO: Final = ("Hips", "Spine3")  #: Segments whose orientation may be anchored to the initial guess
+TORSO: Final = ("Hips", "Spine3")  #: Pelvis and upper trunk
+ANCHORED: Final = (*TORSO, "Neck", "LeftShoulder", "RightShoulder")
+"""Segments whose orientation may be anchored to the initial guess: those that the head and the limbs begin at."""
 BUILT_IN: Final = ("visual", "orientation", "torso", "bone", "root", "floor", "prior", "acceleration", "smooth")
 """Names of the built-in terms."""
 _ROBUST_CONTACT: Final = 3.0
@@ -64,7 +66,7 @@ def built_in_terms(
     return (
         Visual(points.on, tuple(further)),
         Orientation(tuple(map(index, sensors)), settings.robust_orientation),
-        Torso(tuple(index(name) for name in TORSO if name in skeleton.names)),
+        Torso(tuple(index(name) for name in ANCHORED if name in skeleton.names)),
         Bone(tuple(sorted((joint, children[0]) for joint, children in pairs if len(children) == 1))),
         Root(),
         Floor(tuple(index(name) for name in FEET if name in skeleton.names), settings.floor_cutoff, standing),
@@ -168,7 +170,7 @@ class Orientation(Term):
 
 @dataclass(frozen=True)
 class Torso(Term):
-    """Orientation of pelvis and upper trunk about the initial guess, where no sensor has data."""
+    """Orientation of pelvis, upper trunk, neck and clavicles about the initial guess, where no sensor has data."""
 
     segments: tuple[int, ...]
     name: str = "torso"
