@@ -1,6 +1,7 @@
 """The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and tables.
 
-``python -m benchmarks harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks harness --corpus DIR --exercises CORPUS.npz`` with DIR the folder of free motion (see README.md
+here), and CORPUS.npz of models/build_corpus.py for repetitions of rehabilitation exercises by two held-out people.
 Split and motions come from split.toml, which holds out rigs as well as people; cameras and noise from
 `rtof_kin.simulation.simulate`; seeds are fixed. Every number is pooled over frames of all motions and
 cameras; the interval beside a root-relative error is the 95 % bootstrap over motions, the unit that is
@@ -29,10 +30,13 @@ from rich.progress import Progress
 from benchmarks import scoring
 from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
+from lifting.training.corpus import read_corpus as read_built
+from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.protocols.measures import reconstructions
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
@@ -110,6 +114,21 @@ def test_clips(corpus: Path) -> list[MocapClip]:
     clips = {clip.name: clip for clip in whole_clips(corpus, rows["test"], wanted)}
     own = [part for name in chosen["motions"] for part in parts_of(clips[name], chosen["parts"].get(name, 1))]
     return own + [rerigged(middle(clips[name], chosen["seconds"])) for name in chosen["rerigged"]]
+
+
+def exercise_clips(path: Path) -> list[MocapClip]:
+    """Repetitions of exercises by held-out people, the longest of each group of neighbours in the corpus."""
+    corpus, rows, out = read_built(path), split()["benchmark"], []
+    for person in rows["exercises"]:
+        own = [clip for clip, subject in enumerate(corpus.subjects) if subject == person]
+        for group in np.array_split(own, rows["repetitions"]):
+            clip = max(group, key=lambda c: corpus.start[c + 1] - corpus.start[c])
+            frames, offsets = corpus.frames(clip), corpus.joint_offsets[clip].astype(float)
+            R = so3.nearest_rotation(corpus.R_world_bone[frames].astype(float))
+            p = kinematics.positions(corpus.parents, offsets, corpus.p_world_root[frames].astype(float), R)
+            poses = PoseSequence(np.arange(len(R)) / corpus.rate_hz, p, R, corpus.names)
+            out.append(MocapClip(f"{person}_{clip}", poses, offsets, person, "exercise", rig="ui_prmd"))
+    return out
 
 
 def t_poses(corpus: Path) -> dict[str, NeutralPosture]:
@@ -281,7 +300,7 @@ def in_order(rows: Iterable[dict[str, Any]], by: Sequence[str]) -> list[dict[str
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     options = _parser().parse_args(arguments)
-    clips = test_clips(options.corpus)
+    clips = test_clips(options.corpus) + (exercise_clips(options.exercises) if options.exercises else [])
     postures = t_poses(options.corpus) if options.posture == "known" else {}
     if options.motions:
         clips = [clip for clip in clips if clip.name in options.motions.split(",")]
@@ -307,7 +326,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows += future.result()
             progress.advance(task)
     rows = in_order(rows, ("keypoints", "motion", "camera", "mode"))
-    words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
+    words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR").replace(str(options.exercises), "CORPUS.npz")
     result = {
         "command": f"python -m benchmarks harness {words}",
         "split_sha256": hashlib.sha256((HERE / "split.toml").read_bytes()).hexdigest(),
@@ -328,6 +347,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m benchmarks harness", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--exercises", type=Path, metavar="CORPUS.npz", help="also exercises of held-out people")
     parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")
     parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
     parser.add_argument("--sensors", default="8", choices=["0", *SENSOR_SETS], help="how many IMUs")

@@ -225,7 +225,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure, write and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks lifter_lookahead", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
+    parser.add_argument("--lifter", default="live", help="a file, or a shipped one by name")
     parser.add_argument("--motions", help="only these, separated by commas")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "lifter_lookahead.json")
     options = parser.parse_args(arguments)

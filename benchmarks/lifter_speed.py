@@ -174,7 +174,7 @@ def markdown(result: dict[str, Any]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Measure, write and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks lifter_speed", description=__doc__)
-    parser.add_argument("--lifter", type=Path, help="the shipped one if not given")
+    parser.add_argument("--lifter", default="live", help="a file, or a shipped one by name")
     parser.add_argument("--frames", type=int, default=6000, help="of the recording")
     parser.add_argument("--pushes", type=int, default=1500, help="frames pushed one by one")
     parser.add_argument("--repeats", type=int, default=5, help="of the recording")

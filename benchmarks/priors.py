@@ -1,8 +1,9 @@
 """The pose prior alone exchanged: each prior on every test motion, held-out rigs and people, with 8 and 10 sensors.
 
-``python -m benchmarks priors --corpus DIR PRIOR.npz ...`` with the benchmark's motions and cameras (one in turn for
-each motion), realistic 2D, no self-calibration. The priors are files of `models/build_pose_prior.py`. Each is compared
-with the shipped one motion by motion: a default must not be worse in nine of ten.
+``python -m benchmarks priors --corpus DIR --exercises CORPUS.npz PRIOR.npz ...`` with the benchmark's motions and
+cameras (one in turn for each motion), realistic 2D, no self-calibration. The priors are files of
+`models/build_pose_prior.py`. Each is compared with the shipped one motion by motion: a default must not be worse in
+nine of ten.
 """
 
 from __future__ import annotations
@@ -47,11 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks priors", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--exercises", type=Path, metavar="CORPUS.npz", help="also exercises of held-out people")
     parser.add_argument("priors", type=Path, nargs="+", metavar="PRIOR.npz")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "priors.md")
     options = parser.parse_args(arguments)
-    jobs = list(enumerate(harness.test_clips(options.corpus)))
+    clips = harness.test_clips(options.corpus)
+    jobs = list(enumerate(clips + (harness.exercise_clips(options.exercises) if options.exercises else [])))
     with ProcessPoolExecutor(options.workers) as pool:
         found = [row for own in pool.map(partial(rows, options.priors), jobs) for row in own]
     heads = ["sensors", "prior", *FIGURES.values(), "not worse than shipped", "worst", "best", "by rig, rr mm"]

@@ -21,7 +21,7 @@ class NewestLift:
     """A lifter that sees nothing of what follows a frame."""
 
     def __init__(self) -> None:
-        self._lifter = Lifter.load()
+        self._lifter = Lifter.load("live")
         self.name = f"{self._lifter.name}, newest frames"
 
     def predict(
