@@ -31,7 +31,6 @@ from benchmarks import scoring
 from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
 from lifting.training.corpus import read_corpus as read_built
-from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.core import rotations as so3
@@ -125,8 +124,8 @@ def exercise_clips(path: Path) -> list[MocapClip]:
             clip = max(group, key=lambda c: corpus.start[c + 1] - corpus.start[c])
             frames, offsets = corpus.frames(clip), corpus.joint_offsets[clip].astype(float)
             R = so3.nearest_rotation(corpus.R_world_bone[frames].astype(float))
-            p = kinematics.positions(corpus.parents, offsets, corpus.p_world_root[frames].astype(float), R)
-            poses = PoseSequence(np.arange(len(R)) / corpus.rate_hz, p, R, corpus.names)
+            times = np.arange(len(R)) / corpus.rate_hz
+            poses = PoseSequence(times, corpus.positions(clip).astype(float), R, corpus.names)
             out.append(MocapClip(f"{person}_{clip}", poses, offsets, person, "exercise", rig="ui_prmd"))
     return out
 

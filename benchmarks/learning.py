@@ -29,7 +29,8 @@ KINDS = {"realistic": "no sensors", "realistic, 8 sensors": "8 sensors", "realis
 
 def some(corpus: Corpus, minutes: float, share: float | None = None) -> Corpus:
     """Leave training clips out: so many minutes remain, of which a share is of markers; None keeps the corpus'."""
-    left = {kind: 60 * minutes * corpus.rate_hz * part for kind, part in _parts(share).items()}
+    parts = {None: 1.0} if share is None else {True: share, False: 1 - share}
+    left = {kind: 60 * minutes * corpus.rate_hz * part for kind, part in parts.items()}
     split = list(corpus.split)
     clips = torch.randperm(len(split), generator=torch.Generator().manual_seed(0)).tolist()
     for clip in clips:
@@ -40,10 +41,6 @@ def some(corpus: Corpus, minutes: float, share: float | None = None) -> Corpus:
             split[clip] = "excluded"
         left[kind] -= int(corpus.start[clip + 1] - corpus.start[clip])
     return replace(corpus, split=tuple(split))
-
-
-def _parts(share: float | None) -> dict[bool | None, float]:
-    return {None: 1.0} if share is None else {True: share, False: 1 - share}
 
 
 def only(corpus: Corpus, markers: bool) -> Corpus:
@@ -57,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks learning", description=__doc__)
     parser.add_argument("corpus", type=Path, metavar="CORPUS.npz")
-    parser.add_argument("--windows", type=int, default=600_000)
+    parser.add_argument("--windows", type=int, default=500_000)
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "learning.md")
     options = parser.parse_args(arguments)
     corpus = read_corpus(options.corpus)

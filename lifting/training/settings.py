@@ -76,8 +76,8 @@ class TrainConfig:
     windows: int | None = None  #: Number of windows to learn from
     minutes: float | None = None  #: Duration without reading the corpus, min; a resumed training continues counting
     receptive_field: int = 27
-    """Frames of a window, 9 or a higher power of 3: 27 as the paper's, 81 for recordings (41 to 38 mm root-relative on
-    validation, but 40 frames of delay in place of 13)."""
+    """Frames of a window, 9 or a higher power of 3: 27 as the paper's, 81 for recordings (39.7 in place of 41.3 mm
+    root-relative on validation, but 40 frames of delay in place of 13)."""
     channels: int = 256  #: Width of the network
     dropout: float = 0.0  #: Share of hidden values dropped
     batch: int = 512  #: Windows per step

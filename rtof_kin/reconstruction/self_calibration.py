@@ -446,7 +446,8 @@ def _check_belonging(
     if explained < least:
         form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
         if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
-            return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or something is not as declared")
+            why = "the sensors hardly move, or they or the camera are not as declared"
+            return Check.unknown(NAME, "sensors", "", why)
         carriers = {joint for joint, _ in job.subject.sensors.values()}
         carriers |= {job.subject.names[j] for j in columns}
         anywhere = list(job.subject.index(*sorted(carriers)))

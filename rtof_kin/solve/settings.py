@@ -65,8 +65,8 @@ class JointSpaceSettings:
     sigma_prior_least: float = math.radians(3.0)
     """[rad] added in squares to each standard deviation of the prior."""
     sigma_torso: float | None = math.radians(18.0)
-    """[rad] of pelvis and upper trunk about the initial guess, with a Cauchy loss; only without a sensor on them, and
-    where the initial guess has no standard deviation of its own. None: no anchor."""
+    """[rad] of pelvis, upper trunk, neck and clavicles about the initial guess, with a Cauchy loss; only without a
+    sensor on them, and where the initial guess has no standard deviation of its own. None: no anchor."""
     torso_inflation: float = 2.0
     """[1] Factor on the initial guess's own standard deviations: a lifter's errors are autocorrelated."""
     sigma_bone: float | None = 0.05
