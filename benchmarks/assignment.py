@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.sessions import joined
-from benchmarks.harness import SENSOR_SETS, split, write_results
+from benchmarks.harness import SENSOR_SETS, mocap_people, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.assignment import assign_sensors, check_assignment
@@ -326,7 +326,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "assignment.json")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
-    clips = sorted(sessions(options.corpus, split()[options.subset]), key=lambda clip: len(clip.poses))
+    clips = sorted(sessions(options.corpus, mocap_people(options.subset)), key=lambda clip: len(clip.poses))
     for clip in clips:
         rows += judge(clip, options.seed)
         mine = [r for r in rows if r["recording"] == clip.name and r.get("told") is False]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.harness import write_results
+from benchmarks.harness import mocap_people, write_results
 from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
@@ -170,8 +170,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "detectors.json")
     options = parser.parse_args(arguments)
-    split = tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
-    clips = list(read_corpus(options.corpus, split["validation"], output_rate_hz=RATE_HZ))
+    clips = list(read_corpus(options.corpus, mocap_people("validation"), output_rate_hz=RATE_HZ))
     rows = measure(clips, LandmarkRegression.default())
     result = {
         "command": "python -m benchmarks detectors --corpus DIR",

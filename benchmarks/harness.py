@@ -105,6 +105,12 @@ def split() -> dict[str, Any]:
     return tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
 
 
+def mocap_people(side: str) -> list[str]:
+    """Subjects of one side of the split that the folder of free motion has."""
+    rows = split()
+    return [person for person in rows[side] if person not in rows["benchmark"]["exercises"]]
+
+
 def test_clips(corpus: Path) -> list[MocapClip]:
     """The benchmark's motions, cut to their middle."""
     rows = split()
@@ -115,12 +121,17 @@ def test_clips(corpus: Path) -> list[MocapClip]:
     return own + [rerigged(middle(clips[name], chosen["seconds"])) for name in chosen["rerigged"]]
 
 
-def exercise_clips(path: Path) -> list[MocapClip]:
-    """Repetitions of exercises by held-out people, the longest of each group of neighbours in the corpus."""
+def exercise_clips(path: Path, people: Sequence[str] | None = None, repetitions: int | None = None) -> list[MocapClip]:
+    """Repetitions of exercises, the longest of each group of neighbours in the corpus.
+
+    Args:
+        path: of the corpus. people, repetitions: of each; the held-out people and as many as split.toml says
+            where not given.
+    """
     corpus, rows, out = read_built(path), split()["benchmark"], []
-    for person in rows["exercises"]:
+    for person in people or rows["exercises"]:
         own = [clip for clip, subject in enumerate(corpus.subjects) if subject == person]
-        for group in np.array_split(own, rows["repetitions"]):
+        for group in np.array_split(own, repetitions or rows["repetitions"]):
             clip = max(group, key=lambda c: corpus.start[c + 1] - corpus.start[c])
             frames, offsets = corpus.frames(clip), corpus.joint_offsets[clip].astype(float)
             R = so3.nearest_rotation(corpus.R_world_bone[frames].astype(float))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tomllib
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +23,7 @@ import numpy as np
 from numpy.random import Generator
 from rich.progress import track
 
-from benchmarks.harness import SENSOR_SETS, write_results
+from benchmarks.harness import SENSOR_SETS, mocap_people, split, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuCalibration
@@ -45,9 +44,8 @@ NEIGHBOURS = (("Leg", "UpLeg"), ("Foot", "Leg"), ("ForeArm", "Arm"))
 
 def pieces(corpus: Path, subset: str) -> Iterator[MocapClip]:
     """Motion of the subjects of a subset, low-passed, at 60 Hz, in pieces of `SECONDS`."""
-    split = tomllib.loads((HERE / "split.toml").read_text(encoding="utf-8"))
-    held_out = {*split["test"], *split["validation"]}
-    for clip in read_corpus(corpus, split["validation"] if subset == "validation" else None):
+    held_out = {*split()["test"], *split()["validation"]}
+    for clip in read_corpus(corpus, mocap_people("validation") if subset == "validation" else None):
         if subset == "train" and clip.subject in held_out:
             continue
         count, length = len(clip.poses), round(SECONDS * clip.poses.rate_hz)

@@ -112,8 +112,8 @@ def cases(corpus: Path, split: str) -> Iterator[Case]:
     if split == "test":
         clips = [harness.middle(clip, SECONDS) for clip in harness.test_clips(corpus)]
     else:
-        rows = harness.split()[split]
-        whole = [clip for clip in read_corpus(corpus, rows, output_rate_hz=120.0) if "GLITCH" not in clip.quality]
+        found = read_corpus(corpus, harness.mocap_people(split), output_rate_hz=120.0)
+        whole = [clip for clip in found if "GLITCH" not in clip.quality]
         clips = [harness.middle(resample_clip(low_passed(c, 10.0), 60.0), SECONDS) for c in whole][:12]
         clips += [rerigged(clip) for clip in clips[::2]]
     for i, clip in enumerate(clips):

@@ -40,10 +40,9 @@ def clips(corpus: Path, subset: str) -> list[MocapClip]:
     """Motions, at most as long as those of the benchmark."""
     if subset == "test":
         return harness.test_clips(corpus)
-    rows = harness.split()
-    found = read_corpus(corpus, rows[subset], output_rate_hz=120.0)
+    found = read_corpus(corpus, harness.mocap_people(subset), output_rate_hz=120.0)
     whole = [resample_clip(low_passed(clip, 10.0), 60.0) for clip in found]
-    return [harness.middle(clip, rows["benchmark"]["seconds"]) for clip in whole]
+    return [harness.middle(clip, harness.split()["benchmark"]["seconds"]) for clip in whole]
 
 
 def rows_of(clip: MocapClip, camera: int, sensors: str, seed: int) -> tuple[list[Row], Row]:

@@ -43,7 +43,7 @@ def clips(corpus: Path, subset: str) -> list[MocapClip]:
     """The motions of a subset: at most as many seconds each as the benchmark's."""
     if subset == "test":
         return harness.test_clips(corpus)
-    whole = harness.whole_clips(corpus, harness.split()["validation"], list(VALIDATION))
+    whole = harness.whole_clips(corpus, harness.mocap_people("validation"), list(VALIDATION))
     return [part for clip in whole for part in harness.parts_of(clip, VALIDATION[clip.name])]
 
 

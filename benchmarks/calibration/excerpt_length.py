@@ -61,7 +61,7 @@ def jobs(rounds: int) -> Iterator[Job]:
 def clips(corpus: Path) -> dict[str, MocapClip]:
     """Motions by name."""
     names = [name for own in PEOPLE.values() for name in own]
-    return {c.name: c for c in harness.whole_clips(corpus, harness.split()["validation"], names)}
+    return {c.name: c for c in harness.whole_clips(corpus, harness.mocap_people("validation"), names)}
 
 
 def session(corpus: Path, job: Job) -> MocapClip:

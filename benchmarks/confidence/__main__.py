@@ -1,8 +1,8 @@
-"""Whether the confidence is honest: ``python -m benchmarks confidence --corpus DIR``.
+"""Whether the confidence is honest: ``python -m benchmarks confidence --corpus DIR --exercises CORPUS.npz``.
 
 The benchmark's motions of held-out people and rigs x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors,
 and with white and perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation instead, on other people
-(`motions.FITTED_ON`), and writes ``models/confidence.toml``: six minutes on one core.
+(`motions.FITTED_ON` and `motions.EXERCISES`), and writes ``models/confidence.toml``: six minutes on one core.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rtof_kin.solve.uncertainty import CovarianceInflation
 
 HEAD = """\
 # Inflation of the Hessian's covariances; see rtof_kin/solve/uncertainty.py.
-# Made by: python -m benchmarks confidence --corpus DIR --fit{more}
+# Made by: python -m benchmarks confidence --corpus DIR{exercises} --fit{more}
 # from {count} recordings of {people} people with the simulated detector, half of them re-posed on another
 # rig with their own neutral posture, see benchmarks/confidence/motions.py.
 
@@ -48,18 +48,15 @@ def collected(options: argparse.Namespace, recordings: Sequence[Recorded]) -> li
     ]
 
 
-def fitted_on(corpus: Path) -> list[Recorded]:
-    """What the inflation is fitted on."""
-    return [
-        (clip, camera, "realistic", count) for clip, camera, count in motions.recordings(motions.clips(corpus), SENSORS)
-    ]
-
-
 def fit(options: argparse.Namespace) -> None:
     """Write the inflation."""
-    cases = collected(options, fitted_on(options.corpus))
+    clips = motions.clips(options.corpus, options.exercises)
+    recordings = [(clip, camera, "realistic", count) for clip, camera, count in motions.recordings(clips, SENSORS)]
+    cases = collected(options, recordings)
+    exercises = " --exercises CORPUS.npz" if options.exercises else ""
     more = " --calibrated" if options.calibrate else ""
-    head = HEAD.format(more=more, count=len(cases), people=len(motions.FITTED_ON))
+    people = len({clip.subject for clip in clips})
+    head = HEAD.format(exercises=exercises, more=more, count=len(cases), people=people)
     path = CHECKOUT / "confidence.toml"
     path.write_text(head + as_toml(fitted(cases)), encoding="utf-8")
     print(f"wrote {path}")
@@ -67,9 +64,12 @@ def fit(options: argparse.Namespace) -> None:
 
 def study(options: argparse.Namespace) -> None:
     """Write the tables, their numbers and the figure."""
+    clips = harness.test_clips(options.corpus)
+    if options.exercises:
+        clips += harness.exercise_clips(options.exercises)
     recordings = [
         (clip, (i + k) % 4, *kind)  # the cameras take turns
-        for i, clip in enumerate(harness.test_clips(options.corpus))
+        for i, clip in enumerate(clips)
         for k in range(options.cameras)
         for kind in KINDS
         if kind[0] in options.keypoints.split(",")
@@ -113,6 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--exercises", type=Path, help="corpus of models/build_corpus.py with UI-PRMD's people")
     parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
     parser.add_argument("--calibrated", dest="calibrate", action="store_true", help="calibrate recordings first")
     parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))

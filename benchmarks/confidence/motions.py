@@ -35,15 +35,23 @@ FITTED_ON = {
     "CMU (indian dance, 94?)": {"indian_06": 3},
 }
 """Motions by subject, with the number of parts each is cut into."""
+EXERCISES = tuple(f"UIPRMD{person:02d}" for person in range(1, 7))
+REPETITIONS = 5
+"""Of rehabilitation exercises, by each of these people."""
 SECONDS = (2.0, 10.0)
 """Shortest and longest recording, where the motion is that long."""
 
 
-def clips(corpus: Path) -> list[MocapClip]:
-    """The middle of every part, as long as the benchmark's motions."""
+def clips(corpus: Path, exercises: Path | None) -> list[MocapClip]:
+    """The middle of every part, as long as the benchmark's motions, and repetitions of exercises.
+
+    Args:
+        corpus: the folder of free motion. exercises: a corpus of models/build_corpus.py.
+    """
     parts = {name: count for motions in FITTED_ON.values() for name, count in motions.items()}
     whole = harness.whole_clips(corpus, list(FITTED_ON), list(parts))
-    return [part for clip in whole for part in harness.parts_of(clip, parts[clip.name])]
+    own = [part for clip in whole for part in harness.parts_of(clip, parts[clip.name])]
+    return own + (harness.exercise_clips(exercises, EXERCISES, REPETITIONS) if exercises else [])
 
 
 def recordings(clips: Sequence[MocapClip], sensors: Sequence[str]) -> Iterator[tuple[MocapClip, int, str]]:

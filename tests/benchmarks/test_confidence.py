@@ -15,7 +15,7 @@ from benchmarks import harness
 from benchmarks.confidence.cases import Case
 from benchmarks.confidence.figure import reliability
 from benchmarks.confidence.fitting import fitted, sharpest
-from benchmarks.confidence.motions import FITTED_ON
+from benchmarks.confidence.motions import EXERCISES, FITTED_ON
 from benchmarks.confidence.sharpness import sharpness
 from benchmarks.confidence.study import NOMINAL, rows
 from benchmarks.confidence.tables import report
@@ -137,7 +137,7 @@ def test_sharpness_tells_a_varying_sigma_from_a_constant_one() -> None:
 
 def test_fit_and_test_subjects_are_disjoint() -> None:
     split = harness.split()
-    assert not {*FITTED_ON} & {*split["test"], *split["validation"]}
+    assert not {*FITTED_ON, *EXERCISES} & {*split["test"], *split["validation"]}
     names = {name for motions in FITTED_ON.values() for name in motions}
     assert not names & {*split["benchmark"]["motions"]}
 
