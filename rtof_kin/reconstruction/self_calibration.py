@@ -36,6 +36,7 @@ from rtof_kin.reconstruction.checks.camera import check_camera_alone
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
+from rtof_kin.reconstruction.quality import reprojection_errors
 from rtof_kin.reconstruction.result import Choices
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -230,8 +231,12 @@ _EXPLAINED: Final = (0.05, 0.1)
 """[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
 sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
 (benchmarks/results/clock_offsets.md)."""
+_SUSPECT: Final = 0.3  # [1] Part below which it is looked at whether they contradict the image
 _ANYWHERE: Final = (0.15, 0.2)
 """[1] The same at offsets up to `_ELSEWHERE` or on other segments, by which a wrong start or map is named."""
+_FURTHER: Final = 1.4
+"""[1] Mean reprojection error with the sensors, relative to that without them, from which they contradict the image:
+at most 1.3 with right ones, at least 1.5 with a wrong start, 1.8 of other takes, 2.5 with sides exchanged."""
 _ELSEWHERE = 6.0  # [s] Offsets at which sensors may be that belong to the video
 _MOVING = 0.15  # [rad/s] per axis: motion of the sensors below which nothing relates them to the image
 
@@ -368,7 +373,9 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
         found = small_offset(seen.of(columns), sensed)
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
-    check = _check_belonging(jobs[0], seen, sensed, columns, found)
+    moves = bool(np.nanmean(sensed.w_world**2) >= _MOVING**2)
+    contradict = moves and found.explained < _SUSPECT and _contradicts_image(jobs[0])
+    check = _check_belonging(jobs[0], seen, sensed, columns, found, contradict)
     middle = float(found.middle + found.offset)
     rates = [found.drift] if found.drift else []
     sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
@@ -387,7 +394,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     if not rates and abs(found.likely_drift) > _SURE_DRIFT_UNNAMED * found.sigma_drift:
         unsure = found.likely_drift
     seconds = float(jobs[-1].recording.video.times[-1] - jobs[0].recording.video.times[0])
-    warnings = (*noted, *_sentences(delay, applied, found, seconds, len(columns)))
+    warnings = (*noted, *_sentences(delay, applied, found, seconds, contradict))
     doubt = next((note for note in noted if note.startswith(CLOCK_DOUBT)), "")
     if not doubt:
         return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
@@ -437,7 +444,12 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
 
 
 def _check_belonging(
-    job: Job, seen: AngularVelocities, sensed: AngularVelocities, columns: list[int], found: ClockEstimate
+    job: Job,
+    seen: AngularVelocities,
+    sensed: AngularVelocities,
+    columns: list[int],
+    found: ClockEstimate,
+    contradict: bool,
 ) -> Check:
     S = len(columns)
     least, explained = _EXPLAINED[S >= _FEW], found.explained
@@ -445,8 +457,8 @@ def _check_belonging(
     advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
     if explained < least:
         form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
-        if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
-            why = "the sensors hardly move, or they or the camera are not as declared"
+        if not contradict or any(check.failed for check in form):
+            why = "the sensors or what the image shows of them hardly move, or they or the camera are not as declared"
             return Check.unknown(NAME, "sensors", "", why)
         carriers = {joint for joint, _ in job.subject.sensors.values()}
         carriers |= {job.subject.names[j] for j in columns}
@@ -472,8 +484,18 @@ def _check_belonging(
     )
 
 
+def _contradicts_image(job: Job) -> bool:
+    """Return whether the motion with the sensors is further from the keypoints than that without them."""
+    job, modes, errors = job.with_solver(None), tuple[Mode, ...](("rtof", "rto")), list[float]()
+    for mode in modes:
+        prepared, poses = job.solved_again(job.recording, mode)
+        off = reprojection_errors(prepared.recording.video, prepared.skeleton, poses)
+        errors.append(float(np.nanmean(off)))
+    return errors[0] > _FURTHER * errors[1]
+
+
 def _sentences(
-    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, sensors: int
+    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, contradict: bool
 ) -> list[str]:
     said, ms = [], 1000 * delay.sigma[0]
     if len(delay.value) > 1 and abs(delay.value[1]) * seconds / 2 > _NAMED:
@@ -486,10 +508,10 @@ def _sentences(
         ms = float(np.hypot(ms, 1000 * SIGMA_DETECTOR))
         said.append(f"the sensors are {abs(late):.0f} ± {ms:.0f} ms {word} against the video; corrected")
     off = max(-found.offset, found.offset - 2 * _NAMED) - 2 * delay.sigma[0]
-    if applied is None and found.explained < _ANYWHERE[0] and sensors >= _FEW:
+    if applied is None and contradict:
         said.append(
-            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that "
-            "they are of this take, and which sensor is where"
+            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video and contradict it: "
+            "check that they are of this take, which sensor is where, and their headings"
         )
     elif applied is None and found.candidates and off > _NAMED:
         word = "late" if found.offset < 0 else "early"

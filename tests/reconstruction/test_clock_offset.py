@@ -117,6 +117,18 @@ def test_sensors_that_began_seconds_off_are_left_out_and_the_first_line_says_whe
     assert "start_s" in check.advice
 
 
+def test_sensors_that_explain_little_and_fit_the_image_are_kept(
+    demo: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(self_calibration, "_EXPLAINED", (0.99, 0.99))
+    monkeypatch.setattr(self_calibration, "_SUSPECT", 1.0)
+    right = found(demo.between(5.0, 9.0))
+    (check,) = right.checks
+    assert not right.foreign
+    assert np.isnan(check.value)
+    assert right.warnings == ()
+
+
 def test_bands_are_as_wide_as_strides_differ_where_the_stride_is_in_doubt() -> None:
     motion, _ = planted.walking(SkeletonModel.default(), 6.0)
     poses = motion.poses
