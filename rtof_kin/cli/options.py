@@ -206,8 +206,10 @@ Threads = Annotated[
     ),
 ]
 Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
-SOLVER: Final = Fields("frames space guards lift_with_sensors", group="Solver")
+_SOLVER: Final = "frames space guards lift_with_sensors"
+SOLVER: Final = Fields(_SOLVER, group="Solver")
 """Fields of `ReconstructionSettings` that are options."""
+CERTIFIED: Final = f"{_SOLVER} certificate"  #: Those of commands that also certify a recording
 Start = Annotated[float | None, Parameter(metavar="S", help="begin at this time")]
 Stop = Annotated[float | None, Parameter(metavar="S", help="end at this time")]
 Fps = Annotated[float, Parameter(metavar="HZ", help="poses per second of what is written or sent, at most")]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import SOLVER, Fields, Overwrite, Paper, Threads, command, written
+from rtof_kin.cli.options import CERTIFIED, Fields, Overwrite, Paper, Threads, command, written
 from rtof_kin.cli.terminal import (
     print_calibration,
     print_headline,
@@ -61,7 +61,7 @@ def reconstruct(
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,
-    settings: Annotated[ReconstructionSettings, SOLVER],
+    settings: Annotated[ReconstructionSettings, Fields(CERTIFIED, group="Solver")],
     paper: Paper = False,
     markers: Annotated[
         MarkerSettings, Fields("trials marker_set marker_table marker_person up", group="Marker trials")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import (
-    SOLVER,
+    CERTIFIED,
     FetchModels,
     Fields,
     File,
@@ -69,7 +69,7 @@ def run(
     analysis: Annotated[
         AnalysisSettings, Fields("sex repetitions from_standing", weight_kg="weight", group="Analysis")
     ],
-    settings: Annotated[ReconstructionSettings, SOLVER],
+    settings: Annotated[ReconstructionSettings, Fields(CERTIFIED, group="Solver", defaults={"certificate": True})],
     paper: Paper = False,
     seconds: Seconds = None,
     threads: Threads = None,

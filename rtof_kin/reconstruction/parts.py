@@ -7,7 +7,7 @@ part as a whole (outliers, inflation of covariances). Calibration and an unknown
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -122,6 +122,7 @@ def reconstruct_in_parts(
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
     with explaining(job):
         setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode))
+    certified = _liveliest(source, [times[part.start : part.stop] for part in parts]) if settings.certificate else -1
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     for number, part in enumerate(parts):
         report("parts", number, len(parts))
@@ -129,7 +130,8 @@ def reconstruct_in_parts(
         try:
             recording = _with_sensors(_between(source, own), job.recording)
             once = replace(setup, warnings=setup.warnings if number == 0 else ())
-            found = run(replace(job, recording=recording, times=own), mode, once)
+            of_part = replace(settings, certificate=number == certified)
+            found = run(replace(job, recording=recording, times=own, settings=of_part), mode, once)
         except RtofError as error:
             missing.append((times[part.start : part.stop], error))
             continue
@@ -144,6 +146,16 @@ def reconstruct_in_parts(
         raise missing[0][1]
     yield from _lost(like, source, job, setup, missing)
     report("parts", len(parts), len(parts))
+
+
+def _liveliest(source: RecordingSource, spans: Sequence[Array]) -> int:
+    """Return the number of the part whose points move most in the image; the middle one without a camera."""
+    if source.frame_times is None:
+        return len(spans) // 2
+    seen = _thinned(source)
+    moves = np.nan_to_num(np.abs(np.diff(seen.uv_px, axis=0))).sum(axis=(1, 2))
+    part = np.searchsorted([times[-1] for times in spans[:-1]], seen.times[1:])
+    return int(np.argmax(np.bincount(part, moves, len(spans))))
 
 
 def _frame_times(source: RecordingSource, mode: Mode) -> Array:

@@ -20,6 +20,7 @@ from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction import checks
+from rtof_kin.reconstruction.certificate import certify
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
@@ -112,7 +113,12 @@ def explaining(job: Job) -> Iterator[None]:
 def run(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     """Solve the motion of a recording that was set up; see `reconstruct` for errors."""
     with explaining(job):
-        found = reconstruct_from_sensors(job) if mode == "imu" else _from_video(job, mode, setup)
+        if mode == "imu":
+            found = reconstruct_from_sensors(job)
+            if job.settings.certificate:
+                found = replace(found, certificate=certify(job, mode, found.motion))
+        else:
+            found = _from_video(job, mode, setup)
     failed = (check.message for check in found.checks if check.failed)
     for sentence in (*failed, *found.faults, *found.warnings):
         logging.getLogger(RESULT_WARNINGS).warning("%s: %s", job.recording.name, sentence)
@@ -145,6 +151,7 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     motion, position = with_covariances(motion, prepared, solution, others, position, legs)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
+    certificate = certify(job, mode, motion, prepared.rejected, calibration) if settings.certificate else None
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
     return Reconstruction(
@@ -163,6 +170,7 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         delay=clocks.delay,
         camera=camera,
         checks=found,
+        certificate=certificate,
         choices=replace(setup.choices, settings=settings if solution is not None else settings.with_fragment(None)),
         position_errors=position,
     )

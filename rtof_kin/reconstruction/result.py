@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.certificate import Certificate
 
 _NOT_ENERGY = ("compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
 """Fields of the solver's settings that leave the energy the same."""
@@ -84,6 +87,7 @@ class Reconstruction:
     """What was assumed and found of a camera that is not calibrated; None for a calibrated one."""
     checks: tuple[Check, ...] = ()  #: Checks of what the recording declares; failed ones name a likely cause
     choices: Choices = field(default_factory=Choices)
+    certificate: Certificate | None = None  #: What left-out sensors say; None where it was not asked for
     position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
     parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
 

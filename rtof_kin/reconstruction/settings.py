@@ -32,6 +32,9 @@ class ReconstructionSettings:
     """Compute pose covariances (`Motion.confidence`) in modes rto and rtof in joint space."""
     checks: bool = True
     """Check what the recording declares (`Reconstruction.checks`)."""
+    certificate: bool = False
+    """Predict each sensor from all the rest and compare with what it measured (`Reconstruction.certificate`); of a long
+    recording in its liveliest part. Takes two to three times as long as the reconstruction."""
     sensor_joints: tuple[str, ...] = ()
     """Segments for which the compiled problem has room for a sensor, besides those of the recording:
     recordings with any subset of them share one compilation."""

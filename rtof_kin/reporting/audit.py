@@ -22,6 +22,7 @@ from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reporting import certificate
 from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -62,7 +63,7 @@ def audit(found: Reconstruction | ReconstructionStatistics) -> tuple[AuditResult
         *(found for section in before for found in section(statistics)),
         *calibration_results(statistics.first.calibration),
         *camera_results(statistics.first.camera),
-        *(found for section in (_solver, _confidence, _room, _truth) for found in section(statistics)),
+        *(found for section in (_solver, _confidence, _room, _certificate, _truth) for found in section(statistics)),
     )
 
 
@@ -294,6 +295,11 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         open_ = "" if first.position_errors is None else first.position_errors.unverified
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_))
+
+
+def _certificate(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    if statistics.certificate is not None:
+        yield from certificate.results(statistics.certificate, statistics.first.motion.skeleton)
 
 
 def _truth(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:

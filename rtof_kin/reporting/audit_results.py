@@ -29,6 +29,7 @@ SECTIONS: Final = {
     "solver": "Solver",
     "confidence": "Uncertainty of the motion",
     "room": "Position in the room",
+    "certificate": "Left-out sensors",
     "truth": "Error against the reference",
     "angles": "Joint angles",
     "gait": "Gait",

@@ -11,6 +11,7 @@ ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
 ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
 summary.json                  mode, verdict, settings, solver, limit violations, errors against the
                               reference, inputs and audit
+certificate.csv               errors of left-out sensors, frame by frame, where they were asked for
 figures/*.png                 see `rtof_kin.reporting.figures`
 ============================  ==================================================================
 
@@ -35,6 +36,7 @@ from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.markers.trials import MarkerResult, marker_facts
 from rtof_kin.reconstruction.result import Reconstruction, measurements_of
+from rtof_kin.reporting import certificate as certified
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import AuditResult, headline
 from rtof_kin.reporting.provenance import input_provenance
@@ -105,6 +107,8 @@ def export(
         contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        if statistics.certificate is not None and statistics.certificate.left_out:
+            certified.write_frames(statistics.certificate, temporary)
         if figures and whole is not None and can_draw():
             from rtof_kin.reporting.figures import write_figures
 
@@ -144,6 +148,8 @@ def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
         out["warnings"] = list(statistics.warnings)
     if first.root_sigma is not None:
         out["root_drift_sigma_m"] = _plain({"last_frame": statistics.root_sigma})
+    if (certificate := statistics.certificate) is not None:
+        out["certificate"] = certified.facts(certificate, first.motion.skeleton)
     if (solution := statistics.solution) is not None:
         out["solver"] = {
             "status": solution.status.name,

@@ -24,6 +24,7 @@ from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.labels import Session
+from rtof_kin.reporting import certificate
 from rtof_kin.reporting.analysis import gait_table
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
@@ -158,6 +159,9 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         grades={what: badge(grade) for what, grade in grades.items()},
         careful=bool({Grade.WARN, Grade.FAIL} & {*grades.values()}),
         verdicts=_verdicts([section_verdict(section, results) for section in checked], words),
+        certificate=summary.certificate,
+        certified=None if summary.certificate is None else certificate.table(summary.certificate, words),
+        certified_picture=None if summary.certificate is None else certificate.picture(summary.certificate, words),
         checklist=_checklist(isb_items(inputs, summary.mode, bands, _missing_data(motion))),
         citation=CITATION,
         audit=_audit(results),

@@ -25,6 +25,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction import quality
+from rtof_kin.reconstruction.certificate import Certificate
 from rtof_kin.reconstruction.part_results import PartFindings, joined_checks, joined_warnings, sample
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
@@ -181,12 +182,14 @@ class ReconstructionStatistics:
         frames: number of frames. fragments: reports of the fragment solver, in order.
         root_sigma: standard deviation of the root's horizontal coordinates at the end, m; NaN unless in
             mode imu.
+        certificate: of the part that was certified; None without one.
     """
 
     def __init__(self, first: Reconstruction) -> None:
         """Begin with the first part, or the whole."""
         self.first, self.frames = sample(first), 0
         self.root_sigma = float("nan")
+        self.certificate: Certificate | None = None
         self.fragments: list[FragmentReport] = []
         self._faults: list[StreamFault] = []
         self._findings: list[PartFindings] = []
@@ -214,6 +217,7 @@ class ReconstructionStatistics:
             scored = int(np.isfinite(part.metrics.over_time["mpjpe_mm"]).sum())
             means = {stage: replace(found, over_time={}) for stage, found in part.stage_metrics.items()}
             self._scores.append((scored, means))
+        self.certificate = part.certificate or self.certificate
         if part.root_sigma is not None:
             self.root_sigma = float(part.root_sigma[-1])
         self.frames += len(part.motion.times)

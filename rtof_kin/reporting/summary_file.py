@@ -11,6 +11,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import load_json
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.audit_results import AuditResult
+from rtof_kin.reporting.certificate import CertificateSummary
 
 SUMMARY: Final = "summary.json"
 SIGMAS: Final = ("relative_m", "world_m")
@@ -38,6 +39,7 @@ class Summary:
     inputs: dict[str, Any]  #: See `report.provenance`; empty if the file has none
     results: tuple[AuditResult, ...] | None  #: Of the audit; None if the file has none
     settings: dict[str, Any] | None = None
+    certificate: CertificateSummary | None = None  #: What left-out sensors say; None where it was not asked for
     mean_sigmas: tuple[float, float] | None = None
     """Mean standard deviations per axis of the joints, relative to the root and in world, m; NaN where
     unknown, None of a motion without covariances."""
@@ -70,9 +72,10 @@ def read_summary(path: str | Path) -> Summary:
             inputs=inputs,
             results=None if audit is None else tuple(map(AuditResult.from_plain, audit)),
             settings=known.get("settings"),
+            certificate=None if data.get("certificate") is None else CertificateSummary(**data["certificate"]),
             mean_sigmas=sigmas,
         )
-    except (InvalidInputError, ValueError, RecursionError) as error:
+    except (InvalidInputError, ValueError, TypeError, RecursionError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
 
 

@@ -97,7 +97,7 @@ def run(
 
     second = second or SecondCamera()
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
-    settings, analysis = settings or ReconstructionSettings(), analysis or AnalysisSettings()
+    settings, analysis = settings or ReconstructionSettings(certificate=True), analysis or AnalysisSettings()
     setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
     setup = setup if height is None else replace(setup, height=height)
     if setup.height is None:
@@ -168,7 +168,10 @@ def reconstruct_folder(
         mode, known = task.mode or source.usual_mode, task.calibration
         record = {
             "options": {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
-            | {name: getattr(settings, name) for name in ("frames", "space", "guards", "lift_with_sensors")},
+            | {
+                name: getattr(settings, name)
+                for name in ("frames", "space", "guards", "lift_with_sensors", "certificate")
+            },
             "recording_sha256": source.digest(),
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),

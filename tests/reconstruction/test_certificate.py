@@ -1,0 +1,197 @@
+"""The certificate: planted errors come back, the sensor's own are taken out, and what it cannot say is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+from numpy.typing import NDArray
+from reconstruction_support import BODY, Case
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.reconstruction.certificate import SENSOR_SD, SWING, TWIST, Certificate, LeftOut, factor
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.certificate import CertificateSummary, facts, picture, results, sentences, table
+
+Array = NDArray[np.float64]
+T = 600
+TIMES = np.arange(T) / 60
+SETTINGS = ReconstructionSettings(frames=16, certificate=True)
+JOINTS = ("LeftArm", "LeftForeArm", "LeftUpLeg", "LeftLeg")
+
+
+def left_out(swing: float, stated: float, joint: str = "LeftLeg", seed: int = 0, **changes: Any) -> LeftOut:
+    """A sensor with a swing error of so many degrees, RMS, and a stated one."""
+    rng = np.random.default_rng(seed)
+    size = np.abs(rng.normal(size=T))
+    error = np.zeros((T, 2))
+    error[:, SWING] = np.radians(swing) * size / np.sqrt(np.mean(size**2))
+    error[:, TWIST] = np.radians(2.0)
+    told = np.tile(np.radians([stated, 2.0]), (T, 1))
+    eye, bone = np.tile(np.eye(3), (T, 1, 1)), np.array([0.0, 0.0, 1.0])
+    rates = np.array([0.1, 1.0])
+    one = LeftOut("imu", joint, TIMES, error, error, told, SENSOR_SD, False, np.zeros(2), eye, bone, rates, rates)
+    return replace(one, **changes)
+
+
+def certificate(*sensors: LeftOut) -> Certificate:
+    return Certificate(0.0, 10.0, sensors)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    truth = planted.human(BODY, 250)
+    return Case(truth, planted.recording(truth, sigma_px=3.0, joints=JOINTS, degrees=2.0))
+
+
+@pytest.fixture(scope="module")
+def certified(case: Case) -> Reconstruction:
+    return case.run(settings=SETTINGS)
+
+
+def test_a_swing_error_is_certified_whatever_was_stated() -> None:
+    for true, stated in ((20.0, 8.0), (20.0, 20.0), (10.0, 20.0)):
+        one = left_out(np.hypot(true, np.degrees(SENSOR_SD[SWING])), stated)
+        assert np.degrees(one.certified[SWING]) == pytest.approx(true, rel=0.15)
+
+
+def test_twist_stays_near_what_was_stated_as_the_sensor_shows_it_badly() -> None:
+    one = left_out(8.0, 8.0)
+    for measured in (1.0, 9.0, 12.0):
+        error = one.error.copy()
+        error[:, TWIST] = np.radians(measured)
+        twist = np.degrees(replace(one, error=error).certified[TWIST])
+        assert 1.0 < twist < measured + 1.0
+    assert twist < 10.0
+
+
+def test_all_sensors_together_are_surer_than_one() -> None:
+    many = [left_out(16.0, 8.0, seed=seed) for seed in range(8)]
+    assert factor(many[:1], SWING) < factor(many, SWING) == pytest.approx(4.0, rel=0.15)
+    assert np.isnan(factor([left_out(5.0, np.nan)], SWING))
+
+
+def test_a_mounting_that_was_found_from_the_motion_may_only_widen() -> None:
+    assert factor([left_out(2.0, 10.0)], SWING) < 1.0
+    assert factor([left_out(2.0, 10.0, found=True)], SWING) == 1.0
+    assert factor([left_out(30.0, 10.0, found=True)], SWING) > 4.0
+
+
+def test_the_interval_of_blocks_holds_the_rms_and_is_wider_where_errors_last() -> None:
+    rng = np.random.default_rng(0)
+    white = np.column_stack([rng.normal(size=T), np.zeros(T)])
+    lasting = np.column_stack([np.repeat(rng.normal(size=5), T // 5), np.zeros(T)])
+    one, widths = left_out(1.0, 1.0), []
+    for error in (white, lasting):
+        low, high = one.interval(error)
+        assert low < np.sqrt(np.mean(np.sum(error**2, axis=1))) < high
+        widths.append(high - low)
+    assert widths[1] > 3 * widths[0]
+
+
+def test_planted_sensors_are_predicted_and_compared_with_what_they_measured(
+    case: Case, certified: Reconstruction
+) -> None:
+    found = certified.certificate
+    assert found is not None
+    assert [one.joint for one in found.left_out] == list(JOINTS)
+    for one in found.left_out:
+        true = one.against(case.truth.poses.R_world_bone[:, BODY.index(one.joint)[0]])
+        size = np.sqrt(np.mean(np.sum(true**2, axis=1)))
+        assert np.linalg.norm(one.measured) == pytest.approx(size, abs=np.radians(3.0))  # its sensor is 2 deg off
+        assert np.sqrt(np.mean(one.movement**2)) < 1.5 * np.sqrt(np.mean(one.error**2))
+        assert 0.0 < one.below(0.5) < one.below(0.9)
+        assert one.rate_rms[0] < one.rate_rms[1]
+    whats = {one.what for one in found.points}
+    assert whats == {"LeftHand", "RightHand", "LeftFoot", "RightFoot", "Head"}
+    assert all(0 < one.rms < 0.5 for one in found.points)
+
+
+def test_the_motion_is_the_same_with_and_without_a_certificate(case: Case, certified: Reconstruction) -> None:
+    without = case.run(settings=replace(SETTINGS, certificate=False))
+    assert without.certificate is None
+    np.testing.assert_array_equal(without.motion.q, certified.motion.q)
+
+
+def test_a_turned_sensor_is_seen_by_its_own_prediction_only(case: Case, certified: Reconstruction) -> None:
+    calibration = case.recording.calibration
+    assert calibration is not None
+    R = calibration.R_sensor_bone.copy()
+    R[3] = R[3] @ so3.exp(np.radians([25.0, 0.0, 0.0]))
+    turned = case.changed(calibration=replace(calibration, R_sensor_bone=R)).run(settings=SETTINGS).certificate
+    assert turned is not None
+    assert certified.certificate is not None
+    before, after = ([np.linalg.norm(one.measured) for one in c.left_out] for c in (certified.certificate, turned))
+    rise = np.degrees(np.subtract(after, before))
+    assert np.argmax(rise) == 3
+    assert rise[3] > 10.0
+    moved = [np.sqrt(np.nanmean(one.movement**2)) for one in (certified.certificate.left_out[3], turned.left_out[3])]
+    assert moved[1] == pytest.approx(moved[0], rel=0.2)  # constant errors are no errors of movement
+
+
+@pytest.mark.parametrize(
+    "changes, why",
+    [
+        ({"imus": 1}, "one sensor leaves nothing"),
+        ({"imus": 0}, "a camera alone proves no angle"),
+        ({"seconds": 3.0}, "3.0 s are too short"),
+    ],
+)
+def test_what_cannot_be_certified_says_why(case: Case, changes: dict[str, float], why: str) -> None:
+    recording, mode = case.recording, "rtof"
+    assert recording.imus is not None
+    if "seconds" in changes:
+        recording = recording.between(0.0, changes["seconds"])
+    elif changes["imus"]:
+        recording = replace(recording, imus=recording.imus.select(recording.imus.names[:1]))
+    else:
+        recording, mode = replace(recording, imus=None, calibration=None), "rto"
+    found = reconstruct(recording, BODY, mode, lifter=case.lifter(), settings=SETTINGS)
+    assert found.certificate is not None
+    assert why in found.certificate.reason
+    (result,) = [one for one in audit(found) if one.section == "certificate"]
+    assert result.grade is Grade.NOT_CHECKED
+    assert why in result.text
+
+
+def test_a_recording_that_is_worse_than_its_bands_warns_and_says_how_much() -> None:
+    good, bad = certificate(left_out(8.0, 8.0)), certificate(*[left_out(30.0, 8.0, seed=s) for s in range(4)])
+    assert next(results(good, BODY)).grade is Grade.PASS
+    worst = next(results(bad, BODY))
+    assert worst.grade is Grade.FAIL
+    assert any("times what is stated" in sentence for sentence in sentences(bad, BODY))
+    assert not any("times what is stated" in sentence for sentence in sentences(good, BODY))
+
+
+def test_sentences_name_what_has_no_witness() -> None:
+    still = left_out(5.0, 5.0, "LeftArm", rate_rms=np.array([0.01, 0.05]))
+    adrift = left_out(5.0, 5.0, "LeftUpLeg", drift=np.radians([1.0, 0.1]), found=True)
+    said = list(sentences(certificate(still, adrift), BODY))
+    assert said[0].startswith("in this recording a segment without a sensor is predicted to 4.9 deg (90 %")
+    assert any(one.startswith("Hips had no sensor") and "LeftUpLeg" in one for one in said)
+    assert any("LeftArm hardly moved" in one for one in said)
+    assert any("found from this motion" in one and "LeftUpLeg" in one for one in said)
+    assert any("drifts by 60 deg a minute" in one for one in said)
+
+
+def test_facts_are_plain_and_the_page_shows_them() -> None:
+    data = facts(certificate(left_out(9.0, 6.0), left_out(5.0, np.nan, "LeftArm")), BODY)
+    summary = CertificateSummary(**data)
+    words = planted_words()
+    assert [row[0] for row in table(summary, words).text()] == ["left shank", "left upper arm"]
+    drawn = picture(summary, words)
+    assert drawn.count("<rect") == 2
+    assert drawn.count("<path") == 1  # nothing was stated of the other
+
+
+def planted_words() -> Any:
+    from rtof_kin.clinical.angle_table import angle_table
+
+    return angle_table(BODY.table)
