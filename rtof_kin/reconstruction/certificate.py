@@ -55,6 +55,8 @@ _FOUND_SD: Final = np.radians(3.0)  #: [rad] Stated standard deviation of a moun
 _BLOCK_S: Final = 2.0  #: [s] of the block bootstrap
 _DRAWS: Final = 500
 LEAST_SECONDS: Final = 4.0  #: [s] Shorter recordings are not certified
+MOST_SECONDS: Final = 15.0  #: [s] of a longer recording that are certified: those in which the sensors turn most
+_MARGIN_S: Final = 1.0  #: [s] of samples on both sides of them
 _MOVING: Final = 0.15  #: [rad/s] RMS below which a sensor does not show movement
 _ENDS: Final = (("LeftHand", "RightFoot"), ("RightHand", "LeftFoot"), ("Head",))
 """Joints whose points in the image are left out together."""
@@ -210,16 +212,22 @@ def certify(
         job: with the recording as it was solved. motion: that was found with all sensors.
         rejected: intervals of sensors that are not used, by segment. calibration: that was applied.
     """
-    start, stop = float(motion.times[0]), float(motion.times[-1])
-    measured = job.recording.bone_imus()
+    times, measured = motion.times, job.recording.bone_imus()
+    start, stop = float(times[0]), float(times[-1])
     if reason := _impossible(mode, measured, stop - start):
         return Certificate(start, stop, reason=reason)
     assert measured is not None
-    assert job.recording.imus is not None
-    assert job.recording.calibration is not None
-    carried = dict(zip(job.recording.calibration.sensors, job.recording.calibration.joints, strict=True))
-    sensors = [name for name in job.recording.imus.names if carried[name] in measured.joints]
-    work = [_Without(job, mode, rejected, calibration, sensor=name, joint=carried[name]) for name in sensors]
+    if stop - start > MOST_SECONDS:
+        times = times[_liveliest(measured.resample(times), motion.poses.rate_hz)]
+        start, stop = float(times[0]), float(times[-1])
+        recording = job.recording.between(start - _MARGIN_S, stop + _MARGIN_S)
+        job = replace(job, recording=recording, times=times)
+    imus, declared = job.recording.imus, job.recording.calibration
+    assert imus is not None
+    assert declared is not None
+    measured = declared.apply(imus)
+    carried = dict(zip(imus.names, measured.joints, strict=True))
+    work = [_Without(job, mode, rejected, calibration, sensor=name, joint=carried[name]) for name in imus.names]
     if mode == "rtof":
         views = len(job.recording.views)
         work += [_Without(job, mode, rejected, calibration, joints=ends) for ends in _ENDS]
@@ -239,6 +247,15 @@ def certify(
                 points += one.compared_points(predicted)
     reason = "" if found else "no reconstruction without a sensor succeeded"
     return Certificate(start, stop, tuple(found), tuple(points), reason)
+
+
+def _liveliest(measured: BoneImuSequence, rate_hz: float) -> slice:
+    """Return the frames of `MOST_SECONDS` in which the sensors turn most."""
+    R, count = measured.R_world_bone, round(MOST_SECONDS * rate_hz)
+    turns = np.nan_to_num(so3.angle_between(R[:-1], R[1:])).sum(axis=1)
+    so_far = np.concatenate([[0.0], np.cumsum(turns)])
+    first = int(np.argmax(so_far[count:] - so_far[:-count]))
+    return slice(first, first + count)
 
 
 def _impossible(mode: Mode, measured: BoneImuSequence | None, seconds: float) -> str:

@@ -33,8 +33,8 @@ class ReconstructionSettings:
     checks: bool = True
     """Check what the recording declares (`Reconstruction.checks`)."""
     certificate: bool = False
-    """Predict each sensor from all the rest and compare with what it measured (`Reconstruction.certificate`); of a long
-    recording in its liveliest part. Takes two to three times as long as the reconstruction."""
+    """Predict each sensor from all the rest and compare with what it measured (`Reconstruction.certificate`); of
+    recordings over 15 s in the liveliest 15 s. Takes about as long as reconstructing 30 s."""
     sensor_joints: tuple[str, ...] = ()
     """Segments for which the compiled problem has room for a sensor, besides those of the recording:
     recordings with any subset of them share one compilation."""

@@ -24,7 +24,7 @@ from rtof_kin.reporting.document import Cell, Table, number, write_csv
 
 TABLE: Final = "certificate.csv"
 SECTION: Final = "certificate"
-_WORSE, _MUCH_WORSE = 1.8, 2.5
+WORSE, MUCH_WORSE = 1.8, 2.5
 """[1] Certified relative to stated error, all sensors, that warns and fails: 1 and 0 % of the recordings of held-out
 people and rigs without a fault have more (benchmarks/results/certificate.md)."""
 _RATIO: Final = "error of segments without their sensor, relative to what was stated of it"
@@ -94,7 +94,7 @@ def sentences(found: Certificate, skeleton: SkeletonModel) -> Iterator[str]:
         f"in this recording a segment without a sensor is predicted to {_angle(found.error)} "
         f"(90 % of the time below {_angle(found.below_90)}){stated}"
     )
-    if found.ratio > _WORSE:
+    if found.ratio > WORSE:
         yield f"errors are {found.ratio:.1f} times what is stated: this recording is worse than usual"
     yield "a segment with its sensor is not expected to be worse than without it; how much better is not certified"
     never = [joint for joint, _ in skeleton.sensors.values() if found.of(joint) is None]
@@ -130,7 +130,7 @@ def results(found: Certificate, skeleton: SkeletonModel) -> Iterator[AuditResult
     else:
         note = f"worst {worst.joint}: mounting, headings, clock or bones may be wrong, or the person is unusual"
         source = "held-out people and rigs, benchmarks/results/certificate.md"
-        yield AuditResult(SECTION, _RATIO, "all sensors", found.ratio, "times", _WORSE, _MUCH_WORSE, source, note)
+        yield AuditResult(SECTION, _RATIO, "all sensors", found.ratio, "times", WORSE, MUCH_WORSE, source, note)
     for one in found.left_out:
         size = float(np.degrees(_length(one.certified)))
         yield AuditResult(SECTION, _ALONE, one.joint, size, "deg", source="for information")
