@@ -23,9 +23,10 @@ import numpy as np
 from numpy.random import Generator
 from rich.progress import track
 
-from benchmarks import harness
+from benchmarks import clocks_real, harness
 from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import with_late_video
+from benchmarks.clocks_headings import filmed
 from benchmarks.verdicts.scores import area, rank_correlation
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import Motion
@@ -34,7 +35,9 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import BAND_95, WORLD
+from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.certificate import MOST_SECONDS
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -43,6 +46,7 @@ from rtof_kin.simulation.mocap import MocapClip
 
 Row = dict[str, Any]
 SENSORS = ("8", "10")
+SETTINGS = ReconstructionSettings(certificate=True)
 EVERY = 6
 """Step between the frames whose bands are looked at."""
 
@@ -110,9 +114,7 @@ def measured(job: tuple[MocapClip, int, str, str]) -> Row | None:
     recording = FAULTS[fault](recording, np.random.default_rng(camera))
     try:
         with without_warnings(RESULT_WARNINGS):
-            result = reconstruct(
-                recording, mode="rtof", lifter=_lifter(), settings=ReconstructionSettings(certificate=True)
-            )
+            result = reconstruct(recording, mode="rtof", lifter=_lifter(), settings=SETTINGS)
     except RtofError as error:
         print(f"{clip.name}, {fault}: {error}", file=sys.stderr)
         return None
@@ -185,8 +187,8 @@ PARTS: Mapping[str, Callable[[Array], Array]] = {
 def fault_table(rows: Sequence[Row]) -> str:
     """Bands of the reconstruction with all sensors, as they are and as the certificate would have them."""
     lines = [
-        "| fault | sensors | recordings | ratio: median, 5 and 95 % | warn, fail | named by a check | inside 95 % bands "
-        "| scaled by the certificate | half width deg, scaled |",
+        "| fault | sensors | recordings | ratio: median, 5 and 95 % | warn, fail | named by a check "
+        "| inside 95 % bands | scaled by the certificate | half width deg, scaled |",
         "|---" * 9 + "|",
     ]
     for fault in dict.fromkeys(row["fault"] for row in rows):
@@ -218,6 +220,41 @@ def _covered(row: Row, scale: float) -> tuple[float, float]:
     return float(np.mean(np.abs(error) <= half)), float(np.degrees(np.mean(half)))
 
 
+def real_table(folder: Path) -> str:
+    """Certificates of real sensors: alone, and beside a camera that is simulated from their own motion."""
+    lines = [
+        "| trial | sensors, seconds | camera | a segment without its sensor: deg RMS, 90 % below | stated "
+        "| worst, best |",
+        "|---" * 6 + "|",
+    ]
+    for number, own in enumerate(clocks_real.sessions(folder)):
+        usual = [s for s, joint in own.joints.items() if joint in {j for j, _ in own.skeleton.sensors.values()}]
+        streams = [stream for stream in own.log.streams if stream.name in usual]
+        imus = ImuSequence.joined([stream.imu() for stream in streams])
+        count = min(round(MOST_SECONDS * 60), len(own.poses) - 1)
+        video = filmed(own, (len(own.poses) - count) // 2, count, 60.0, number)
+        alone = Recording(own.name, imus=imus, calibration=own.calibration.select(tuple(imus.names)))
+        seen = replace(alone, keypoints=video.keypoints, imus=replace(imus, times=imus.times - video.start))
+        for camera, recording, mode in (("none", alone, "imu"), ("simulated", seen, "rtof")):
+            try:
+                with without_warnings(RESULT_WARNINGS):
+                    found = reconstruct(recording, own.skeleton, mode, settings=SETTINGS).certificate
+            except RtofError as error:
+                lines.append(f"| {own.name} | {len(usual)} | {camera} | {error} | | |")
+                continue
+            assert found is not None
+            size = {one.joint: np.degrees(np.linalg.norm(one.certified)) for one in found.left_out}
+            order = sorted(size, key=lambda joint: -size[joint])
+            ends = ", ".join(f"{joint} {size[joint]:.0f}" for joint in (order[0], order[-1]))
+            error, below, stated = np.degrees([found.error, found.below_90, found.expected])
+            seconds = f"{found.stop - found.start:.0f}"
+            told = f"{stated:.1f}" if np.isfinite(stated) else "-"
+            cells = (own.name, f"{len(size)}, {seconds}", camera, f"{error:.1f}, {below:.0f}", told, ends)
+            lines.append(f"| {' | '.join(cells)} |")
+            print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -225,11 +262,17 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser.add_argument("--corpus", type=Path, help="folder of free motion")
     parser.add_argument("--exercises", type=Path, help="corpus of models/build_corpus.py with UI-PRMD's people")
     parser.add_argument("--faults", action="store_true", help="also every second motion with each fault")
+    parser.add_argument("--real", type=Path, help="folder of real sensors: the table of their certificates alone")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "certificate.json")
     options = parser.parse_args(arguments)
+    if options.real:
+        real_table(options.real)
+        return 0
+    if options.corpus is None:
+        parser.error("give --corpus, or --real")
     clips = harness.test_clips(options.corpus)
     if options.exercises:
         clips += harness.exercise_clips(options.exercises)[::2]

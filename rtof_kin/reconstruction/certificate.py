@@ -32,7 +32,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs.engine import usable_cores
@@ -44,7 +44,7 @@ from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.quality import with_covariances
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
-from rtof_kin.vision.image_points import image_points
+from rtof_kin.vision.image_points import image_points, measurements
 
 SWING, TWIST = 0, 1  #: Columns: across the bone, and about it
 SENSOR_SD: Final = np.radians((3.5, 9.0))  #: s, [rad] of a sensor on a body, swing and twist
@@ -308,13 +308,13 @@ class _Without:
         motion = prepared.skeleton.motion(solution.poses)
         return with_covariances(motion, prepared, solution, (), PositionErrors.declared(recording))[0]
 
-    def _hidden(self, keypoints: KeypointSequence) -> Mask:
-        """(L,) points of the joints that are left out."""
-        anchors = np.array(image_points(self.job.subject, keypoints.names).anchors)
-        return np.isin(anchors, self.job.subject.index(*self.joints))
-
     def _masked(self, keypoints: KeypointSequence) -> KeypointSequence:
-        hidden = self._hidden(keypoints)
+        """The keypoints without what shows the joints that are left out."""
+        skeleton = self.job.subject
+        used = dict.fromkeys((*keypoints.landmarks.names, *measurements(keypoints, skeleton).names))
+        anchors, ends = image_points(skeleton, tuple(used)).anchors, skeleton.index(*self.joints)
+        gone = {name for name, anchor in zip(used, anchors, strict=True) if anchor in ends}
+        hidden = np.array([name in gone for name in keypoints.names])
         return replace(keypoints, confidence=np.where(hidden, 0.0, keypoints.confidence))
 
     def compared_points(self, predicted: Motion) -> Iterator[LeftOutPoints]:
