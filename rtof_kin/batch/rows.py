@@ -29,7 +29,7 @@ ERROR: Final = "error"  #: Verdict of a recording on which a command failed
 DONE: Final = "done"  #: Verdict of one without a motion, whose commands all succeeded
 WORST_FIRST: Final = (
     ERROR,
-    *(g.value for g in (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.NOT_CHECKED, Grade.PASS)),
+    *(g.value for g in (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.NOT_CHECKED, Grade.PLAUSIBLE, Grade.PASS)),
     DONE,
 )
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
-STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
+STYLES = {"pass": "green", "plausible": "cyan", "warn": "yellow", "fail": "bold red"}
 """Style of the terminal by verdict."""
 SCORE_COLUMNS = {
     "mpjpe_rr_mm": "relative\nto root\n[mm]",

@@ -23,7 +23,15 @@ from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting import certificate
-from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
+from rtof_kin.reporting.audit_results import (
+    CERTIFICATE,
+    FAILED_FRAGMENTS,
+    FAULT,
+    ROOM,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+)
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -55,15 +63,17 @@ def audit(found: Reconstruction | ReconstructionStatistics) -> tuple[AuditResult
         found: result of `reconstruct`, or the statistics of its parts.
 
     Returns:
-        Results of the sections inputs to confidence; also the errors if the recording has a reference.
+        Results of the sections inputs to room; then the errors if the recording has a reference, else what would
+        prove the angles.
     """
     statistics = ReconstructionStatistics.of(found)
+    last = (_solver, _confidence, _room, _certificate, _truth)
     before = (_inputs, _streams, _image, _sensors, _body)
     return (
         *(found for section in before for found in section(statistics)),
         *calibration_results(statistics.first.calibration),
         *camera_results(statistics.first.camera),
-        *(found for section in (_solver, _confidence, _room, _certificate, _truth) for found in section(statistics)),
+        *(found for section in last for found in section(statistics)),
     )
 
 
@@ -298,8 +308,22 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
 
 
 def _certificate(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    """What left-out sensors say; without them what would prove the angles, but nothing beside a reference."""
     if statistics.certificate is not None:
         yield from certificate.results(statistics.certificate, statistics.first.motion.skeleton)
+        return
+    if any(_truth(statistics)):
+        return
+    imus = statistics.first.bone_imus
+    if imus is None:
+        why = "a camera alone proves no angle: add a sensor, or evaluate against a reference"
+    elif len(imus.joints) == 1:
+        why = "one sensor leaves nothing to predict it from: add one"
+    elif statistics.first.keypoints is None:
+        why = "without a camera no error is stated to compare a left-out sensor with: film it too"
+    else:
+        why = "no sensor was left out: reconstruct with --certificate"
+    yield AuditResult.not_checked(CERTIFICATE, "motion", why)
 
 
 def _truth(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:

@@ -4,7 +4,8 @@
 with its most serious result.
 
 A declared input that the recording contradicts comes first, then frames without a measurement, then other
-failures, then warnings. Without any of these, the headline lists what was checked and what was not.
+failures, then warnings. Without any of these, the headline lists what was checked and what was not. Agreement alone
+is plausible; a reconstruction passes where left-out sensors were predicted, or where a reference was compared.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ SECTIONS: Final = {
 """Sections of an audit, and their titles. All but the room are about the angles and the pose relative to the
 root, which one can use without the position in the room."""
 ROOM: Final = "room"
+CERTIFICATE: Final = "certificate"
 ROOM_BAND: Final = "half width of the 95 % band"
 """Name of the figure that states how far off the position in the room may be."""
 FAILED_FRAGMENTS: Final = "share of fragments that failed"
@@ -51,6 +53,7 @@ class Grade(Enum):
     """Grade of a figure or a section."""
 
     PASS = "pass"
+    PLAUSIBLE = "plausible"  #: Of a headline alone: nothing contradicts the reconstruction, and nothing proves it
     WARN = "warn"
     FAIL = "fail"
     WEAK = "weakly observed"  #: Within its limits, but hardly observable from the data: not a pass
@@ -209,11 +212,14 @@ _ROOM: Final = {
 class Headline:
     """Overall verdicts of an audit."""
 
-    grade: Grade  #: Of angles and pose relative to the root: FAIL or WARN if any result does; else PASS if any passes
+    grade: Grade
+    """Of angles and pose relative to the root: FAIL or WARN if any result does; else, if any passes, PASS where that
+    is proven and PLAUSIBLE where it is not."""
     text: str  #: One line about both, without the grade
     sections: tuple[SectionVerdict, ...]
     room: Grade | None = None  #: Of the position in the room; None where nothing is said about it
     room_text: str = ""  #: The sentence about the position in the room, a part of `text`
+    not_proven: str = ""  #: What would prove a reconstruction that is PLAUSIBLE, a part of `text`
 
     @property
     def line(self) -> str:
@@ -243,10 +249,10 @@ def headline(results: Sequence[AuditResult]) -> Headline:
     wrong = [result for result in about if result.grade in (Grade.FAIL, Grade.WARN)]
     if not wrong:
         of_angles = tuple(verdict for verdict in sections if verdict.section != ROOM)
-        grade, text = _without_warnings(of_angles, about)
+        grade, text, not_proven = _without_warnings(of_angles, about)
         both = "; ".join(part for part in (room, text) if part)
-        alone = _ALONE if grade is Grade.PASS and of_room not in (None, Grade.PASS) else ""
-        return Headline(grade, alone + both, sections, of_room, room)
+        alone = _ALONE if grade in (Grade.PASS, Grade.PLAUSIBLE) and of_room not in (None, Grade.PASS) else ""
+        return Headline(grade, alone + both, sections, of_room, room, not_proven)
     grade = Grade.FAIL if any(result.grade is Grade.FAIL for result in wrong) else Grade.WARN
     worst = max(wrong, key=_severity)  # the first of equal ones
     text = _words(worst).rstrip(".")
@@ -298,14 +304,32 @@ def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
     )
 
 
-def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[AuditResult]) -> tuple[Grade, str]:
-    """Grade and words of what was checked, what is weakly observed, and what could not be checked."""
+def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[AuditResult]) -> tuple[Grade, str, str]:
+    """Grade; words of what was checked, what is not proven, what is weakly observed, and what could not be checked;
+    and what would prove it, if it is plausible.
+    """
     checked = [verdict.section for verdict in sections if verdict.grade is Grade.PASS]
+    not_proven = _not_proven(results) if checked else ""
     weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK]
-    unknown = list(result_lines(results, Grade.NOT_CHECKED))
-    if checked and not any(result.section == "truth" for result in results):
+    said = CERTIFICATE if not_proven else ""
+    unknown = list(result_lines([result for result in results if result.section != said], Grade.NOT_CHECKED))
+    if checked and not not_proven and not any(result.section == "truth" for result in results):
         unknown.append("the error itself: there is no reference")
     parts = [f"checked, no problem found in {', '.join(checked)}"] if checked else []
+    parts += [f"not proven: {not_proven}"] if not_proven else []
     parts += weak
     parts += [f"not checked: {some(unknown, _UNCHECKED, '; ')}"] if unknown else []
-    return Grade.PASS if checked else Grade.WEAK if weak else Grade.NOT_CHECKED, "; ".join(parts)
+    good = Grade.PLAUSIBLE if not_proven else Grade.PASS
+    return good if checked else Grade.WEAK if weak else Grade.NOT_CHECKED, "; ".join(parts), not_proven
+
+
+def _not_proven(results: Sequence[AuditResult]) -> str:
+    """What would prove a reconstruction; '' where it is proven, and for results about none (markers, calibration)."""
+    present = {result.section for result in results}
+    if not present & {"image", "sensors", CERTIFICATE}:  # those that the audit of every reconstruction has
+        return ""
+    compared = any(result.section == "truth" and math.isfinite(result.value) for result in results)
+    if compared or section_verdict(CERTIFICATE, results).grade is Grade.PASS:
+        return ""
+    notes = (r.note for r in results if r.section == CERTIFICATE and r.grade is Grade.NOT_CHECKED)
+    return next(notes, "nothing was compared with a left-out sensor or a reference: reconstruct again")

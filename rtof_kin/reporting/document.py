@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Cell = str | float | None
-STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}  #: Grade -> style of a badge on the terminal
+STYLES: Final = {"pass": "green", "plausible": "cyan", "warn": "yellow", "fail": "bold red"}
+"""Style of a badge on the terminal by grade."""
 GRADE_WORDS: Final = {
     Grade.PASS: "good",
+    Grade.PLAUSIBLE: "plausible",
     Grade.WARN: "use with care",
     Grade.FAIL: "do not use",
     Grade.WEAK: "not verified",
@@ -52,7 +54,7 @@ _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 class Badge(str):
     """A text with a grade, shown by colour, sign and word."""
 
-    grade: str  #: 'pass', 'warn', 'fail', 'not-checked', ..., as in the style sheet
+    grade: str  #: 'pass', 'plausible', 'warn', 'fail', 'not-checked', ..., as in the style sheet
 
     def __new__(cls, word: str, grade: str) -> Self:
         """Make a badge of a word."""

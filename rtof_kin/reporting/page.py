@@ -28,6 +28,7 @@ from rtof_kin.reporting import certificate
 from rtof_kin.reporting.analysis import gait_table
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
+    CERTIFICATE,
     SECTIONS,
     AuditResult,
     Grade,
@@ -114,7 +115,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
     inputs, words, named = summary.inputs, analysis.table, session.subject or summary.recording
     results = (*(summary.results or ()), *clinical_findings(analysis))
     overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ()) if summary.results is None else headline(summary.results)
-    checked = [s for s in SECTIONS if s != "truth" or any(result.section == s for result in results)]
+    checked = [s for s in SECTIONS if s not in (CERTIFICATE, "truth") or any(result.section == s for result in results)]
     bands = analysis.angles.sigma is not None
     shown = shown_frames(motion.times)
     curves = angle_curves(analysis, shown)

@@ -291,10 +291,13 @@ def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
 
 
 def _careful(analysis: MotionAnalysis, overall: Headline) -> str:
-    """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
+    """Headline of the audit if it warns, fails or is missing, what would prove it if it is plausible, and what is
+    unobserved, bridged or drifting.
+    """
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
     about_angles = [part for part in overall.text.replace(overall.room_text, "").split("; ") if part]
     parts = [plain_words("; ".join(about_angles), analysis.table)] if warned else []
+    parts += [f"not proven: {overall.not_proven}"] if overall.not_proven else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")

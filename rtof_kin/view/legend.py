@@ -43,8 +43,8 @@ DETECTED: Final[Rgb] = (213, 94, 0)  #: Detected points in the 3D scene
 REPROJECTED: Final[Rgb] = (0, 114, 178)  #: Joints of the motion in the image
 TRUTH: Final[Rgb] = (70, 70, 78)
 SECOND: Final[Rgb] = (170, 60, 190)  #: A second motion beside the first
-_GRADES: Final = ("pass", "warn", "fail")
-GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}  #: RGB by verdict
+GRADES: Final = {"pass": (0, 120, 70), "plausible": (45, 100, 130), "warn": (180, 95, 0), "fail": (200, 0, 30)}
+"""RGB by verdict."""
 _UNKNOWN: Final = (90, 90, 90)
 
 
@@ -52,7 +52,7 @@ _UNKNOWN: Final = (90, 90, 90)
 class Verdict:
     """What the summary says about a motion."""
 
-    grade: str  #: 'pass', 'warn' or 'fail'; empty where there is no verdict
+    grade: str  #: 'pass', 'plausible', 'warn' or 'fail'; empty where there is no verdict
     text: str  #: Sentence with the reason
     recording: str  #: Name of the recording; empty if unknown
 
@@ -78,7 +78,7 @@ def read_verdict(folder: Path) -> Verdict:
     found = found if isinstance(found, dict) else {}
     grade = str(found.get("grade", ""))
     text = str(found.get("headline", "the summary has none; reconstruct again"))
-    return Verdict(grade if grade in _GRADES else "", text, str(data.get("recording", "")))
+    return Verdict(grade if grade in GRADES else "", text, str(data.get("recording", "")))
 
 
 def verdict_html(verdict: Verdict) -> str:

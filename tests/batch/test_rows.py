@@ -43,6 +43,7 @@ ROWS = [
     Row("s1/a & <b>", "error", step="reconstruct", error="<script>alert(1)</script>", log="log/reconstruct.txt"),
     Row("s 2/'c'#", "fail", "it fails", frames=60, duration_s=1.0, report="report.html", log="log/report.txt"),
     Row("d", "weakly observed", "x" * 300, report="report.html"),
+    Row("p", "plausible", "checked; not proven: add a sensor", report="report.html"),
     Row("e", "pass", "checked", report="report.html"),
     Row("f", "done"),
 ]
@@ -56,8 +57,10 @@ def test_rows_are_escaped_and_linked(tmp_path: Path) -> None:
     assert "reconstruct: &lt;script&gt;alert(1)" in page
     links = [unquote(unescape(link)) for link in re.findall('href="([^"]*)"', page)]
     assert links[:3] == ["s1/a & <b>/log/reconstruct.txt", "s 2/'c'#/report.html", "s 2/'c'#/log/report.txt"]
-    assert "5 of 7 recordings; 2 are not done" in page
+    assert "6 of 7 recordings; 1 are not done" in page
     assert page.index("weakly observed") < page.index(">e<")
+    assert '<span class="grade plausible">plausible</span> 1' in page
+    assert sorted(ROWS[::-1], key=lambda row: row.severity) == ROWS
 
 
 def test_the_page_has_the_worst_of_very_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,6 +76,7 @@ def test_larger_sizes_are_larger_faults() -> None:
             True,
         ),
         ("pass: checked, no problem found; not checked: the focal length", "focal length wrong", False),
+        ("plausible: checked; not proven: walk; not checked: the focal length", "focal length wrong", False),
     ],
 )
 def test_a_fault_is_named_by_the_cause_and_not_by_advice_or_a_list(line: str, name: str, named: bool) -> None:

@@ -18,10 +18,11 @@ import pytest
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.cli.terminal import accuracy, log_handler
+from rtof_kin.cli.terminal import STYLES, accuracy, log_handler, print_headline
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.audit_results import AuditResult, headline
 
 MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 OWN = ("notes.txt", "report.html", "clinical/angles.csv")
@@ -265,3 +266,12 @@ def test_escape_codes_of_others_do_not_reach_the_terminal(capsys: pytest.Capture
 @pytest.mark.parametrize("sigma, words", [(np.nan, "unknown"), (0.01, "expected 16 mm relative")])
 def test_accuracy_without_truth_is_that_of_the_covariances_or_unknown(sigma: float, words: str) -> None:
     assert words in accuracy(None, (sigma, sigma), "rto")
+
+
+def test_a_plausible_verdict_is_printed_with_what_would_prove_it(capsys: pytest.CaptureFixture[str]) -> None:
+    lone = AuditResult.not_checked("certificate", "motion", "a camera alone proves no angle: add a sensor")
+    print_headline(headline([AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0), lone]))
+    line, *table = capsys.readouterr().out.splitlines()
+    assert line == f"plausible: checked, no problem found in image; not proven: {lone.note}"
+    assert re.search(r"certificate\s+not checked\s+motion: a camera alone", "\n".join(table))
+    assert len({STYLES[grade] for grade in ("pass", "plausible", "warn", "fail")}) == 4

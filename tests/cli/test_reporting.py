@@ -21,7 +21,7 @@ def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Any) -
     assert page.wrong == []
     assert "P07" in page.text[""]
     verdicts, audit = (" ".join(page.text[name].split()) for name in ("verdicts", "audit"))
-    assert re.search(r"Angles (good|use with care|do not use)", verdicts)
+    assert re.search(r"Angles (good|plausible|use with care|do not use)", verdicts)
     assert "weight" in verdicts
     assert "orientation residual" in audit
     assert "reprojection error" in audit

@@ -199,6 +199,25 @@ def test_a_wrong_height_and_violated_limits_are_results(good: Reconstruction) ->
 
 
 @pytest.mark.parametrize(
+    ("change", "proof"),
+    [
+        (lambda r: r, "no sensor was left out"),
+        (lambda r: replace(r, bone_imus=r.bone_imus.select(r.bone_imus.joints[:1])), "one sensor leaves nothing"),
+        (lambda r: replace(r, bone_imus=None), "a camera alone proves no angle"),
+        (lambda r: replace(r, keypoints=None), "without a camera no error is stated"),
+    ],
+)
+def test_without_a_reference_it_says_what_would_prove_the_angles(
+    good: Reconstruction, change: Callable[[Any], Any], proof: str
+) -> None:
+    results = audit(replace(change(good), metrics=None))
+    (own,) = [result for result in results if result.section == "certificate"]
+    assert own.grade is Grade.NOT_CHECKED
+    assert own.note.startswith(proof)
+    assert not [result for result in audit(good) if result.section == "certificate"]  # it has the truth
+
+
+@pytest.mark.parametrize(
     ("change", "section"),
     [
         (lambda r: replace(r, keypoints=None), "image"),

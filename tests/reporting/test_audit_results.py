@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.reporting.audit_results import (
+    CERTIFICATE,
     FAILED_FRAGMENTS,
     ROOM_BAND,
     SECTIONS,
@@ -137,6 +138,9 @@ FOCAL = AuditResult(
 WARNING = AuditResult.warning("streams", "motion", "two sensors are exchanged")
 FAULT = AuditResult("streams", "fault, duration", "LeftLeg", 2.0, "s", -1.0, note="it stuck", at=1.0)
 UNKNOWN = AuditResult.not_checked("inputs", "camera", "the person does not move", "distance")
+TRUTH = AuditResult("truth", "error", "motion", 20.0, "mm")
+PREDICTED = AuditResult(CERTIFICATE, "error of a left-out sensor", "LeftLeg", 4.0, "deg", 6.0, 12.0)
+LONE = AuditResult.not_checked(CERTIFICATE, "motion", "a camera alone proves no angle: add a sensor")
 WEAK = AuditResult.remark("calibration", "30 quantities", "1 observed, 29 weakly observed", weak=True)
 
 
@@ -174,17 +178,55 @@ def test_lost_frames_come_before_failures_and_these_before_warnings(
 
 
 def test_without_warnings_it_lists_what_was_checked_and_what_was_not() -> None:
-    found = headline([UNKNOWN, GOOD, WEAK])
+    found = headline([UNKNOWN, GOOD, WEAK, PREDICTED])
     assert found.grade is Grade.PASS
     for part in (
-        "found in image;",
+        "found in image, certificate;",
         "calibration: 30 quantities: 1 observed, 29 weakly observed",
         "not checked: camera: distance: the person does not move",
         "no reference",
     ):
         assert part in found.text
-    truth = AuditResult("truth", "error", "motion", 20.0, "mm")
-    assert "no reference" not in headline([UNKNOWN, GOOD, WEAK, truth]).text
+    assert "no reference" not in headline([UNKNOWN, GOOD, WEAK, TRUTH]).text
+
+
+@pytest.mark.parametrize(
+    ("proof", "grade"),
+    [
+        ((), Grade.PLAUSIBLE),
+        ((LONE,), Grade.PLAUSIBLE),
+        ((PREDICTED,), Grade.PASS),
+        ((LONE, PREDICTED), Grade.PASS),
+        ((replace(PREDICTED, value=7.0), TRUTH), Grade.WARN),
+        ((LONE, TRUTH), Grade.PASS),
+        ((LONE, replace(TRUTH, value=math.nan)), Grade.PLAUSIBLE),
+    ],
+)
+def test_a_reconstruction_passes_only_with_left_out_sensors_or_a_reference(
+    proof: tuple[AuditResult, ...], grade: Grade
+) -> None:
+    found = headline([GOOD, *proof])
+    assert found.grade is grade
+    assert ("not proven: " in found.text) == bool(found.not_proven) == (grade is Grade.PLAUSIBLE)
+
+
+def test_a_plausible_headline_says_what_would_prove_it_and_nothing_of_that_twice() -> None:
+    found = headline([UNKNOWN, GOOD, LONE, replace(LONE, note="another")])
+    assert found.line == (
+        "plausible: checked, no problem found in image; not proven: a camera alone proves no angle: add a sensor; "
+        "not checked: camera: distance: the person does not move"
+    )
+    assert found.not_proven == LONE.note
+    assert found.plain()["sections"] == {"inputs": "not checked", "image": "pass", "certificate": "not checked"}
+    assert headline([LONE, OFF]).line.startswith("fail: Foot")
+    assert headline([UNKNOWN, LONE]).grade is Grade.NOT_CHECKED
+    assert f"motion: {LONE.note}" in headline([UNKNOWN, LONE]).text
+
+
+def test_markers_and_a_calibration_need_no_proof() -> None:
+    fit = AuditResult("body", "residual of the markers, RMS", "body", 8.0, "mm", 15.0, 30.0)
+    assert headline([fit]).grade is Grade.PASS
+    assert headline([replace(GOOD, section="calibration")]).grade is Grade.PASS
 
 
 def test_without_a_check_there_is_no_pass() -> None:
@@ -207,7 +249,8 @@ LENS = AuditResult(
 
 
 def test_angles_pass_apart_from_a_position_in_the_room_that_nobody_verified() -> None:
-    found = headline([GOOD, BAND])
+    assert headline([GOOD, BAND]).line.startswith("plausible for the angles; position in the room not verified: ± 1.1")
+    found = headline([GOOD, BAND, PREDICTED])
     assert found.line.startswith(
         "pass for the angles; position in the room not verified: ± 1.1 m, the focal length is not checked; "
     )
@@ -216,7 +259,7 @@ def test_angles_pass_apart_from_a_position_in_the_room_that_nobody_verified() ->
 
 
 def test_a_contradicted_position_in_the_room_does_not_fail_the_angles_but_leads() -> None:
-    found = headline([GOOD, LENS, BAND])
+    found = headline([GOOD, LENS, BAND, PREDICTED])
     assert found.line.startswith("pass for the angles; position in the room fails: the lens is higher")
     assert (found.grade, found.room) == (Grade.PASS, Grade.FAIL)
     assert headline([LOOSE, LENS]).line.startswith("warn: position in the room fails: the lens is higher")

@@ -126,18 +126,22 @@ def test_another_day_in_the_recording_is_noted(tmp_path: Path) -> None:
     assert read_visits(tmp_path).notes == ("2026-02-02 is of 2026-02-02, but its recordings say 2026-01-01",)
 
 
-def test_a_failed_audit_is_the_first_line(tmp_path: Path) -> None:
-    audit = AuditResult("inputs", "size", "camera", 3.0, "", 1.0, 2.0, note="wrong focal length")
+@pytest.mark.parametrize("size", [3.0, 0.5])
+def test_a_failed_audit_is_the_first_line_and_a_plausible_one_is_not(tmp_path: Path, size: float) -> None:
+    audit = AuditResult("inputs", "size", "camera", size, "", 1.0, 2.0, note="wrong focal length")
+    lone = AuditResult.not_checked("certificate", "motion", "add a sensor")
     visit_folders(tmp_path, {"2026-01-01": 1.0})
     for place in (2, 3):
         folder_of(
             walk_at(1.0, place),
             tmp_path / "2026-02-02" / f"w{place}",
-            audit=[audit.plain()],
+            audit=[audit.plain(), lone.plain()],
             inputs={"software": "rtof_kin 1.0"},
         )
     first = document(follow_up(read_visits(tmp_path).visits)).headline
-    assert first.startswith("The visits may not be comparable: 2026-02-02: the audit of w2, w3 failed (wrong")
+    failed = "The visits may not be comparable: 2026-02-02: the audit of w2, w3 failed (wrong"
+    assert first.startswith(failed) == (size > 2.0)
+    assert ("audit" in first) == (size > 2.0)
 
 
 # --- words ---------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import document, plot_data
 from rtof_kin.reporting.analysis import gait_table
 from rtof_kin.reporting.angle_names import angle_name, side_and_name
-from rtof_kin.reporting.audit_results import AuditResult
+from rtof_kin.reporting.audit_results import ROOM_BAND, AuditResult
 from rtof_kin.reporting.document import Document, Section
 from rtof_kin.reporting.html import asset, css_string
 from rtof_kin.reporting.page import range_tables, report, way_line
@@ -159,12 +159,26 @@ def test_options_settings_notes_and_an_estimated_camera_are_shown(html: str, tmp
     assert "<li>doubtful: &lt;b&gt;its heading</li><li>assumed: the floor is flat</li>" in written
 
 
+def test_a_plausible_motion_is_not_called_good_and_the_page_says_what_would_prove_it(tmp_path: Path) -> None:
+    fine = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
+    lone = AuditResult.not_checked("certificate", "motion", "one sensor leaves nothing to predict it from: add one")
+    band = AuditResult("room", ROOM_BAND, "position", 0.3, "m", 0.5)
+    folder = folder_of(walk(), tmp_path / "out", audit=[one.plain() for one in (fine, lone, band)])
+    folder_page = report(folder, made=TODAY)
+    assert folder_page.count('<span class="grade plausible">plausible</span>') == 2  # summary, quality
+    text = {name: " ".join(own.split()) for name, own in Page(folder_page).text.items()}
+    assert "Careful Not proven: one sensor leaves nothing to predict it from: add one." in text[""]
+    assert "Plausible: nothing contradicts the angles, and nothing proves them." in text["verdicts"]
+    assert "Left-out sensors" in text["verdicts"]
+
+
 def test_sections_have_verdicts_reasons_and_limits(page: Page) -> None:
     text = " ".join(page.text["verdicts"].split())
     assert text.startswith("Quality Angles do not use Use with care: some figures are less reliable.")
     assert "Agreement with the image problem <b>Head</b>: error 7 px: look & see" in text
     assert "Agreement with the sensors: Nothing was checked" in text
     assert "Joint torques: Torques: not computed" in text
+    assert "Left-out sensors" not in text  # nobody asked for them
     assert "fail" not in text
     assert "7 px fail 2 px 5 px" in " ".join(page.text["audit"].split())
     assert all(part in page.text["audit"] for part in ("7 px", "2 px", "5 px", "a source"))
@@ -535,7 +549,7 @@ def test_texts_have_enough_contrast_in_light_and_dark() -> None:
     assert len(schemes) == 2
     for scheme in schemes:
         colours = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", scheme))
-        for text in ("ink", "soft", "right", "left", "pass", "warn", "fail", "not-checked"):
+        for text in ("ink", "soft", "right", "left", "pass", "plausible", "warn", "fail", "not-checked"):
             for ground in ("paper", "panel"):
                 light, dark = sorted((_luminance(colours[text]), _luminance(colours[ground])), reverse=True)
                 assert (light + 0.05) / (dark + 0.05) >= 4.5, (text, ground)
