@@ -134,10 +134,11 @@ def measured(job: tuple[MocapClip, int, str, str]) -> Row | None:
     about = {"motion": clip.name, "subject": clip.subject, "rig": clip.rig, "camera": camera}
     about |= {"sensors": sensors, "fault": fault}
     failed = [check.cause for check in result.checks if check.failed]
-    return about | {"segments": segments, "ratio": certificate.ratio, "named": failed, "bands": _bands(motion, truth)}
+    about |= {"segments": segments, "ratio": certificate.ratio, "named": failed}
+    return about | {"turns": _turns(motion, truth), "positions": _positions(motion, truth)}
 
 
-def _bands(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
+def _turns(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
     """Errors and standard deviations (n, 3), rad, of all pairs of segments, every `EVERY` frames."""
     known, few = motion.confidence, slice(None, None, EVERY)
     assert known is not None
@@ -152,6 +153,19 @@ def _bands(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     both = np.isfinite(error + sigma).all(axis=1)
     return error[both], sigma[both]
+
+
+def _positions(motion: Motion, truth: PoseSequence) -> tuple[float, float]:
+    """Shares of the errors of positions inside their 95 % bands, relative to the root and in world."""
+    known, p = motion.confidence, motion.poses.p_world_joint
+    assert known is not None
+    off = p - at_times(truth, motion.times).p_world_joint
+    inside = []
+    for error, covariance in ((off - off[:, :1], known.relative_covariance), (off, known.position_covariance)):
+        sigma = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3))[:, 1:]
+        both = np.isfinite(error[:, 1:] + sigma)
+        inside.append(float(np.mean(np.abs(error[:, 1:][both]) <= BAND_95 * sigma[both])))
+    return inside[0], inside[1]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -188,8 +202,8 @@ def fault_table(rows: Sequence[Row]) -> str:
     """Bands of the reconstruction with all sensors, as they are and as the certificate would have them."""
     lines = [
         "| fault | sensors | recordings | ratio: median, 5 and 95 % | warn, fail | named by a check "
-        "| inside 95 % bands | scaled by the certificate | half width deg, scaled |",
-        "|---" * 9 + "|",
+        "| turns inside 95 % bands | scaled by the certificate | half width deg, scaled | positions: relative, world |",
+        "|---" * 10 + "|",
     ]
     for fault in dict.fromkeys(row["fault"] for row in rows):
         for sensors in SENSORS:
@@ -201,13 +215,14 @@ def fault_table(rows: Sequence[Row]) -> str:
             graded = [f"{100 * np.mean(ratio > limit):.0f} %" for limit in (WORSE, MUCH_WORSE)]
             named = 100 * np.mean([bool(row["named"]) for row in own])
             plain = [_covered(row, 1.0) for row in own]
-            scaled = [_covered(row, max(1.0, row["ratio"] / WORSE)) for row in own]
+            scaled = [_covered(row, max(1.0, row["ratio"])) for row in own]
             (inside, half), (inside_scaled, half_scaled) = np.mean(plain, axis=0), np.mean(scaled, axis=0)
             cells = [
                 *(fault, sensors, str(len(own)), f"{middle:.2f}, {low:.2f}, {high:.2f}", ", ".join(graded)),
                 f"{named:.0f} %",
                 f"{100 * inside:.0f} % (least {100 * min(i for i, _ in plain):.0f})",
                 *(f"{100 * inside_scaled:.0f} %", f"{half:.1f}, {half_scaled:.1f}"),
+                ", ".join(f"{100 * share:.0f} %" for share in np.mean([row["positions"] for row in own], axis=0)),
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
@@ -215,7 +230,7 @@ def fault_table(rows: Sequence[Row]) -> str:
 
 def _covered(row: Row, scale: float) -> tuple[float, float]:
     """Share of errors inside the 95 % bands times a scale, and their mean half width, deg."""
-    error, sigma = row["bands"]
+    error, sigma = row["turns"]
     half = BAND_95 * scale * sigma
     return float(np.mean(np.abs(error) <= half)), float(np.degrees(np.mean(half)))
 

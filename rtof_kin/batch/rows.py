@@ -45,6 +45,8 @@ class Row:
     error: str = ""
     frames: int = 0
     duration_s: float = 0.0  #: Of the motion
+    certified_deg: float | None = None  #: Error of a segment without its sensor, see `reporting.certificate`
+    certified_ratio: float | None = None  #: The same relative to what was stated of it
     seconds: float = 0.0  #: Sum over its commands, of the runs that gave the present results
     cpu_seconds: float = 0.0  #: The same of the processor
     peak_memory_mb: float = 0.0

@@ -62,6 +62,7 @@ class Setup:
     camera_distance: float = float("nan")  #: [m] median distance of the person
     view: float = float("nan")
     """[rad] mean heading of the person, from the direction in which the camera looks; NaN if it varies."""
+    certified: float = float("nan")  #: [deg] error of a segment without its sensor, by its certificate
     failed: str = ""  #: Headline of the audit where its verdict is 'fail'
 
 

@@ -29,7 +29,6 @@ WORSE, MUCH_WORSE = 1.8, 2.5
 people and rigs without a fault have more (benchmarks/results/certificate.md)."""
 _RATIO: Final = "error of segments without their sensor, relative to what was stated of it"
 _ALONE: Final = "error without its sensor, RMS"
-_DRIFT_SIGMAS: Final = 3.0
 
 
 def facts(found: Certificate, skeleton: SkeletonModel) -> dict[str, Any]:
@@ -107,10 +106,6 @@ def sentences(found: Certificate, skeleton: SkeletonModel) -> Iterator[str]:
     if estimated := [one.joint for one in found.left_out if one.found]:
         what = "all segments" if len(estimated) == len(found.left_out) else some(estimated, 4)
         yield f"how the sensors sit on {what} was found from this motion: constant errors are not certified there"
-    for one in found.left_out:
-        if abs(one.drift[0]) > _DRIFT_SIGMAS * one.drift[1]:
-            rate = f"{np.degrees(60 * one.drift[0]):.0f} deg a minute"
-            yield f"the heading of {one.sensor} drifts by {rate} against the rest"
 
 
 def _angle(radians: float) -> str:
@@ -166,10 +161,9 @@ class CertifiedSegment(BaseModel):
 class CertificateSummary(BaseModel):
     """The certificate in ``summary.json``, as far as a page shows it."""
 
-    sentences: list[str]
-    sensors: list[CertifiedSegment]
+    sentences: tuple[str, ...]
+    sensors: tuple[CertifiedSegment, ...]
     error_deg: float | None
-    stated_deg: float | None
 
 
 def table(found: CertificateSummary, words: AngleTable) -> Table:

@@ -172,15 +172,18 @@ def read_compared(path: str | Path) -> Compared:
     if path.suffix.lower() in SUFFIXES:
         return _other_system(path)
     file = motion_path(path)
-    recording, mode = "", ""
+    recording, mode, certified = "", "", tuple[str, ...]()
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
         recording, mode = found.recording, found.mode
+        if found.certificate is not None:
+            certified = found.certificate.sentences[:1]
     with MotionReader(file) as reader:
         motion, mode = reader.read(), mode or reader.mode
     named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
     name = named.name + (f" ({mode})" if mode else "")
-    return clinical.compared(name, motion, recording)
+    sides = clinical.compared(name, motion, recording)
+    return replace(sides, notes=(*sides.notes, *certified))
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:

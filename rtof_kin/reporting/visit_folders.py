@@ -187,7 +187,7 @@ def _trial(path: Path, visit: Path) -> Trial:
 def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     if summary is None:
         return Setup(mode=mode, view=view)
-    inputs, session, settings = summary.inputs, summary.session, summary.settings or {}
+    inputs, session, settings, found = summary.inputs, summary.session, summary.settings or {}, summary.certificate
     camera: dict[str, Any] = inputs.get("camera") or {}
     segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
     overall = None if summary.results is None else headline(summary.results)
@@ -206,6 +206,7 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
         camera_height=height,
         camera_distance=distance,
         view=view,
+        certified=math.nan if found is None or found.error_deg is None else found.error_deg,
         failed=overall.text if overall is not None and overall.grade is Grade.FAIL else "",
     )
 

@@ -243,6 +243,13 @@ def _cautions(found: FollowUp) -> list[str]:
             f"Not known how all trials of {', '.join(unknown)} were recorded (no summary.json beside the "
             "motion): whether these visits are comparable was not checked in full"
         )
+    certified = {visit.name: [one.setup.certified for one in visit.trials] for visit in found.visits}
+    certified = {name: [size for size in own if math.isfinite(size)] for name, own in certified.items()}
+    if any(certified.values()):
+        sizes = (f"{name} {max(own):.1f} deg" if own else f"{name} not certified" for name, own in certified.items())
+        lines.append(
+            f"A segment without its sensor is predicted to: {', '.join(sizes)} (the worst trial of each visit)"
+        )
     if found.repeated is Repeated.STRIDES:
         lines.append(
             "Each visit has one trial: the spread between its strides or repetitions is included, but not "
