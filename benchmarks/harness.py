@@ -30,6 +30,7 @@ from rich.progress import Progress
 from benchmarks import scoring
 from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
+from lifting.training.corpus import Corpus
 from lifting.training.corpus import read_corpus as read_built
 from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
@@ -132,13 +133,17 @@ def exercise_clips(path: Path, people: Sequence[str] | None = None, repetitions:
     for person in people or rows["exercises"]:
         own = [clip for clip, subject in enumerate(corpus.subjects) if subject == person]
         for group in np.array_split(own, repetitions or rows["repetitions"]):
-            clip = max(group, key=lambda c: corpus.start[c + 1] - corpus.start[c])
-            frames, offsets = corpus.frames(clip), corpus.joint_offsets[clip].astype(float)
-            R = so3.nearest_rotation(corpus.R_world_bone[frames].astype(float))
-            times = np.arange(len(R)) / corpus.rate_hz
-            poses = PoseSequence(times, corpus.positions(clip).astype(float), R, corpus.names)
-            out.append(MocapClip(f"{person}_{clip}", poses, offsets, person, "exercise", rig="ui_prmd"))
+            out.append(built_clip(corpus, max(group, key=lambda c: corpus.start[c + 1] - corpus.start[c])))
     return out
+
+
+def built_clip(corpus: Corpus, clip: int) -> MocapClip:
+    """A clip of a corpus; the rig is that of the exercises."""
+    person, frames, offsets = corpus.subjects[clip], corpus.frames(clip), corpus.joint_offsets[clip].astype(float)
+    R = so3.nearest_rotation(corpus.R_world_bone[frames].astype(float))
+    times = np.arange(len(R)) / corpus.rate_hz
+    poses = PoseSequence(times, corpus.positions(clip).astype(float), R, corpus.names)
+    return MocapClip(f"{person}_{clip}", poses, offsets, person, "exercise", rig="ui_prmd")
 
 
 def t_poses(corpus: Path) -> dict[str, NeutralPosture]:

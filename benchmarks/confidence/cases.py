@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from rtof_kin.solve.uncertainty import (
 )
 
 EVERY = 4
-"""Step between the frames evaluated; neighbours are correlated."""
+"""Step between the frames evaluated one by one; neighbours are correlated."""
 SENSORS = ("0", "4", "8", "10")
 """Numbers of sensors that the inflation is fitted on, with realistic 2D."""
 KINDS = (*(("realistic", count) for count in SENSORS), ("white", "8"), ("perfect", "8"))
@@ -40,7 +40,7 @@ KINDS = (*(("realistic", count) for count in SENSORS), ("white", "8"), ("perfect
 
 @dataclass(frozen=True)
 class Case:
-    """One reconstructed recording, one frame in `EVERY`."""
+    """One reconstructed recording."""
 
     name: str
     """Name of the motion, and number of the camera."""
@@ -62,6 +62,10 @@ class Case:
         """Return the confidence that an inflation makes."""
         assert self.motion.confidence is not None
         return inflation.apply(self.motion.confidence, self.circumstances, self.apart, self.p_camera_joint)
+
+    def __getitem__(self, frames: slice) -> Self:
+        own = {name: getattr(self, name)[frames] for name in ("motion", "truth", "p_camera_joint")}
+        return replace(self, apart=Disagreement(*(d[frames] for d in self.apart)), **own)
 
     @property
     def motion_name(self) -> str:
@@ -102,11 +106,11 @@ def case_of(result: Reconstruction, clip: MocapClip, camera: int, keypoints: str
     assert result.keypoints is not None
     assert solution is not None
     assert solution.confidence is not None
-    motion = replace(result.motion, confidence=solution.confidence)[::EVERY]
+    motion = replace(result.motion, confidence=solution.confidence)
     carriers = () if result.bone_imus is None else result.bone_imus.joints
     stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
-    apart = Disagreement(*(d[::EVERY] for d in disagreement(result.motion.poses, start, solution.confidence.pairs)))
+    apart = disagreement(result.motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - result.keypoints.camera.center_world
     true = at_times(truth, motion.times)
     return Case(f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint, clip.rig)
@@ -150,14 +154,18 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
         yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], apart.turn[:, k])
 
 
-def angle_errors(case: Case, confidence: Confidence) -> Iterator[tuple[str, Array, Array]]:
-    """Name, errors (n,) and standard deviations (n,) of every clinical angle, rad, where known."""
+def angle_errors(case: Case, confidence: Confidence, regular: bool = False) -> Iterator[tuple[str, Array, Array]]:
+    """Name, errors (n,) and standard deviations (n,) of every clinical angle, rad, where known.
+
+    Args:
+        regular: leave out frames near a singular posture.
+    """
     found = clinical_angles(replace(case.motion, confidence=confidence))
     true = clinical_angles(all_observed(case.truth), case.motion.skeleton)
     assert found.sigma is not None
     off = (found.values - true.values + np.pi) % (2 * np.pi) - np.pi
     for a, name in enumerate(found.names):
-        known = np.isfinite(off[:, a] + found.sigma[:, a])
+        known = np.isfinite(off[:, a] + found.sigma[:, a]) & ~(regular & found.singular[:, a])
         if known.any():
             yield name, off[known, a], found.sigma[known, a]
 

@@ -57,6 +57,8 @@ class RangeOfMotion:
     """Unreliable samples that may be lower than `low`; None if there are none."""
     uncertain_high: UncertainEnd | None = None
     """Unreliable samples that may be higher than `high`; None if there are none."""
+    largest_sigma: float = float("nan")
+    """[rad] largest standard deviation of the reliable values; NaN if the motion has no confidence."""
     one_turn: bool = True
     """Whether all usable values lie in the interval of the angle, without whole turns between them."""
 
@@ -184,6 +186,7 @@ def _range(angles: ClinicalAngles, column: int) -> RangeOfMotion:
     speed = np.abs(angular_velocity(angles, column))
     peak = float(np.nanmax(speed)) if np.isfinite(speed).any() else nan
     ends = (nan, nan) if angles.sigma is None else angles.sigma[[low, high], column].tolist()
+    sigmas = np.array([]) if angles.sigma is None else angles.sigma[np.isfinite(values), column]
     return RangeOfMotion(
         row.name,
         float(values[low]),
@@ -198,6 +201,7 @@ def _range(angles: ClinicalAngles, column: int) -> RangeOfMotion:
         range_sigma=range_deviation(*ends),
         uncertain_low=_beyond(angles, column, values[[low, high]], ends[0], -1),
         uncertain_high=_beyond(angles, column, values[[high, low]], ends[1], 1),
+        largest_sigma=float(sigmas.max()) if len(sigmas) else nan,
         one_turn=row.range[0] <= values[low] and values[high] <= row.range[1],
     )
 

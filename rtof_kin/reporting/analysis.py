@@ -8,7 +8,8 @@ angles_trusted.csv              1 where a value is reliable (`decomposition`), e
 range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
                                 standard deviations of both ends and of the range; 1 for a heading; 95 %
                                 intervals with the unreliable samples, their seconds and furthest value
-                                beyond either end; 1 for a range that may be compared with others
+                                beyond either end; 1 for a range that may be compared with others; half width
+                                within which the whole curve lies (`curve_bands`)
 gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
                                 side, symmetry
 travel.json                     way and turning of the pelvis
@@ -63,6 +64,7 @@ from rtof_kin.reporting.document import (
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
 from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+from rtof_kin.solve.uncertainty import CovarianceInflation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -121,11 +123,13 @@ def write_analysis(
         OutputExistsError: the folder may not be replaced. Errors of `analyse`.
     """
     check_replaceable(folder, MARKER, overwrite)
-    summary = motion_path(motion).parent / SUMMARY
-    subject = read_summary(summary).subject if summary.exists() else {}
+    path = motion_path(motion).parent / SUMMARY
+    summary = read_summary(path) if path.exists() else None
+    subject = {} if summary is None else summary.subject
     weight_kg = settings.weight_kg if settings.weight_kg is not None else subject.get("mass_kg")
     sex = settings.sex or (subject.get("sex") if weight_kg is not None else None)
-    made = document(analyse(motion, **asdict(replace(settings, weight_kg=weight_kg, sex=sex))))
+    found = analyse(motion, **asdict(replace(settings, weight_kg=weight_kg, sex=sex)))
+    made = document(found, None if summary is None else summary.sensors)
     with new_folder(folder, MARKER, overwrite, inputs) as new:
         for one, inner in ((made, new), *((other, new / other.name) for other in documents)):
             inner.mkdir(exist_ok=True)
@@ -133,8 +137,13 @@ def write_analysis(
     return made
 
 
-def document(analysis: MotionAnalysis) -> Document:
-    """Return an analysis as a document."""
+def document(analysis: MotionAnalysis, sensors: int | None = None) -> Document:
+    """Return an analysis as a document.
+
+    Args:
+        sensors: number of those that the bands rest on; without it there are no bands of whole curves.
+    """
+    curves = curve_bands(analysis.ranges, sensors)
     angles, gait = analysis.angles, analysis.gait
     series = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
     columns = [f"{name}{kind}_deg" for kind in ("", "_sigma")[: len(series)] for name in angles.names]
@@ -148,10 +157,10 @@ def document(analysis: MotionAnalysis) -> Document:
             ("time", *angles.names), _Series(angles.times, lambda frames: angles.provenance[frames])
         ),
         "angles_trusted.csv": Table(("time", *angles.names), _Series(angles.times, angles.is_trusted)),
-        "range_of_motion.csv": _ranges(analysis.ranges),
+        "range_of_motion.csv": _ranges(analysis.ranges, curves),
     }
     data = {
-        "angles.json": _ANGLES_JSON | {"angles": analysis.table.sidecar()},
+        "angles.json": _ANGLES_JSON | {"whole_curves": _curve_facts(curves), "angles": analysis.table.sidecar()},
         "gait.json": _gait_facts(gait),
         "travel.json": _travel_facts(analysis.travel),
         "notes.json": {part: list(notes) for part, notes in analysis.notes.items()},
@@ -187,6 +196,33 @@ def document(analysis: MotionAnalysis) -> Document:
         tables=tables,
         facts=None,
         data=data,
+    )
+
+
+@dataclass(frozen=True)
+class CurveBand:
+    """Band that contains the whole curve of an angle, for so many of 100 people (`CurveFactors`)."""
+
+    factor: float  #: Half width in standard deviations
+    half: float  #: [rad] at its widest, where the angle is reliable
+
+
+def curve_bands(ranges: Iterable[RangeOfMotion], sensors: int | None) -> dict[str, CurveBand]:
+    """Return the bands of the angles that have one, by name; sensors: as for `document`."""
+    factors = CovarianceInflation.shipped().curves
+    if sensors is None or factors is None:
+        return {}
+    found = {own.name: (factors.factor(own.name, sensors), own.largest_sigma) for own in ranges}
+    return {name: CurveBand(k, k * sigma) for name, (k, sigma) in found.items() if k and math.isfinite(sigma)}
+
+
+def curve_note() -> str:
+    """Return what the bands of whole curves mean, as a sentence."""
+    factors = CovarianceInflation.shipped().curves
+    assert factors is not None
+    return (
+        f"the whole curve lies within these bands in {100 * factors.level:g} % of recordings of 2 to 10 s of people "
+        f"like the {factors.people} measured"
     )
 
 
@@ -319,7 +355,18 @@ def _repetition_facts(found: RepetitionAnalysis) -> dict[str, Any]:
     }
 
 
-def _ranges(ranges: Sequence[RangeOfMotion]) -> Table:
+def _curve_facts(curves: Mapping[str, CurveBand]) -> dict[str, Any] | None:
+    """Factors of the bands of whole curves as plain data; None without any."""
+    if not curves:
+        return None
+    return {
+        "half_width": "factor x ..._sigma_deg, in every frame",
+        "meaning": curve_note(),
+        "factor": {name: band.factor for name, band in curves.items()},
+    }
+
+
+def _ranges(ranges: Sequence[RangeOfMotion], curves: Mapping[str, CurveBand]) -> Table:
     rows: list[list[Cell]] = []
     for r in ranges:
         angles = {"low": r.low, "high": r.high, "range": r.range, "mean": r.mean}
@@ -339,6 +386,7 @@ def _ranges(ranges: Sequence[RangeOfMotion]) -> Table:
             values[f"uncertain_{name}_s"] = 0.0 if end is None else end.seconds
             values[f"uncertain_{name}_deg"] = math.nan if end is None else np.degrees(end.value)
         values["comparable"] = r.is_comparable
+        values["curve_half_width_deg"] = np.degrees(curves[r.name].half) if r.name in curves else math.nan
         rows.append([r.name, *_rounded(values.values())])
     return Table(("angle", *values), rows)
 

@@ -25,7 +25,7 @@ from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import certificate
-from rtof_kin.reporting.analysis import gait_table
+from rtof_kin.reporting.analysis import CurveBand, curve_bands, curve_note, gait_table
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
     CERTIFICATE,
@@ -118,7 +118,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
     checked = [s for s in SECTIONS if s not in (CERTIFICATE, "truth") or any(result.section == s for result in results)]
     bands = analysis.angles.sigma is not None
     shown = shown_frames(motion.times)
-    curves = angle_curves(analysis, shown)
+    curves, whole = angle_curves(analysis, shown), curve_bands(analysis.ranges, summary.sensors)
     sampling = f"Plotted at {motion.rate_hz / (shown.step or 1):.3g} frames per second."
     if curves["interval"]:
         sampling = (
@@ -145,7 +145,8 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         ],
         contents=_CONTENTS,
         way=way_line(analysis.travel),
-        ranges=range_tables(analysis.ranges, analysis.angles.rows),
+        ranges=range_tables(analysis.ranges, analysis.angles.rows, whole),
+        whole_curves=f"Whole curve \u00b1: {curve_note()}." if whole else "",
         bands="Bands are 95 % intervals of the motion's confidence." if bands else f"There are no bands: {NO_BANDS}.",
         sampling=sampling,
         gait=gait_table(analysis.gait) if analysis.gait.is_gait else None,
@@ -183,10 +184,21 @@ def _origin(summary: Summary, session: Session, made: str) -> str:
 # --- ranges of motion ----------------------------------------------------------------------------
 
 
-def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> list[Table]:
+def range_tables(
+    ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow], whole: Mapping[str, CurveBand] | None = None
+) -> list[Table]:
     """Return the ranges of motion of pelvis and trunk, then right against left; no tables without an angle. Headings
-    among the rows have no range of motion.
+    among the rows have no range of motion; whole: bands of whole curves, by angle.
     """
+
+    def ends(own: RangeOfMotion | None, name: AngleName) -> str:
+        shown, band = _ends(own, name), (whole or {}).get(own.name) if own else None
+        return (
+            Markup("{} <small>whole curve \u00b1 {}</small>").format(shown, _whole(band.half))
+            if band and shown
+            else shown
+        )
+
     named = {row.name: row for row in rows}
     found: dict[str, dict[str, RangeOfMotion]] = {}
     for own in ranges:
@@ -199,7 +211,7 @@ def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> l
         name = angle_name(named[next(iter(by_side.values())).name])
         if "" in by_side:
             middle = by_side[""]
-            single[name] = (_title(name), _range(middle), _ends(middle, name), _peak(middle))
+            single[name] = (_title(name), _range(middle), ends(middle, name), _peak(middle))
             continue
         right, left = sides = [by_side.get(side) for side in SIDES]
         difference = math.nan
@@ -207,7 +219,7 @@ def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> l
             difference = math.degrees(right.range - left.range)
         both[name] = (
             _title(name),
-            *(cell for own in sides for cell in (_range(own), _ends(own, name))),
+            *(cell for own in sides for cell in (_range(own), ends(own, name))),
             f"{round(difference):+d}".replace("+0", "0") if math.isfinite(difference) else "",
             *map(_peak, sides),
         )

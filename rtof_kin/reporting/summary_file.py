@@ -49,6 +49,12 @@ class Summary:
         """'height_m', 'mass_kg', 'sex' and other properties of the subject."""
         return self.inputs.get("subject") or {}
 
+    @property
+    def sensors(self) -> int:
+        """Number of sensors that the bands rest on."""
+        recorded = [] if self.mode == "rto" else self.inputs.get("sensors") or []
+        return sum(bool(one.get("segment")) for one in recorded)
+
 
 def read_summary(path: str | Path) -> Summary:
     """Read the ``summary.json`` of a reconstruction.

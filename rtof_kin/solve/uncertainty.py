@@ -38,7 +38,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,6 +102,7 @@ SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relati
 """Classes of observations, and the kinds of covariances that have them."""
 OTHER: Final = "other"  #: Name of the default widening
 USUAL_TORSO_SIGMA: Final = 0.09  #: [rad] Usual sigma of pelvis and upper trunk by the lifter
+CURVES: Final = "curve"  #: Table of the factors of whole curves in a file
 SHARES: Final = "apart"  #: Table of the factors a in a file
 DEPTHS: Final = "depth"  #: Table of the shares f in a file
 WHITE_FACTOR: Final = 1.2  #: k0, fitted with white 2D errors and eight real sensors
@@ -143,6 +144,44 @@ class Widening:
 
 
 @dataclass(frozen=True)
+class CurveFactors:
+    """Half widths, in standard deviations, of bands that contain the whole curve of a clinical angle.
+
+    Split-conformal prediction over people (Vovk et al. 2005; of several recordings a person: Lee, Barber & Willett
+    2023): a factor is the quantile of max |error| / sigma along a recording, each of n people with weight 1 / (n + 1).
+    """
+
+    factors: Mapping[int, Mapping[str, float]]  #: By number of sensors, and name of the angle without its side
+    people: int  #: n
+    level: float  #: Share of the curves that are inside throughout, 0 to 1
+    made_of: str = ""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.level < 1 and self.people > 0):
+            raise InvalidInputError(f"curve factors: level {self.level} of {self.people} people cannot be")
+        for sensors, own in self.factors.items():
+            for angle, factor in own.items():
+                if not 0 < factor < np.inf:
+                    raise InvalidInputError(f"curve factors: {factor} of {angle} with {sensors} sensors cannot be")
+
+    @classmethod
+    def from_plain(cls, table: Mapping[str, Any]) -> Self:
+        """Return those of a file's table."""
+        own = {int(name): value for name, value in table.items() if name.isdecimal()}
+        return cls(own, **{name: value for name, value in table.items() if not name.isdecimal()})
+
+    def factor(self, angle: str, sensors: int) -> float | None:
+        """Return the factor of an angle; None where too few people showed it.
+
+        Args:
+            angle: clinical name. sensors: their number; the next smaller one that has factors counts.
+        """
+        known = [count for count in self.factors if count <= sensors]
+        name = angle.removeprefix("right_").removeprefix("left_")
+        return self.factors[max(known)].get(name) if known else None
+
+
+@dataclass(frozen=True)
 class CovarianceInflation:
     """Widenings of all covariances of a skeleton."""
 
@@ -150,6 +189,7 @@ class CovarianceInflation:
     """By class (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
     shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  #: a, by class and kind; 0 where not given
     depths: Mapping[str, float] = field(default_factory=dict)  #: f, by class; 0 where not given
+    curves: CurveFactors | None = None  #: Of the angles' standard deviations that follow; None if not measured
 
     def __post_init__(self) -> None:
         for seen, share in self.depths.items():
@@ -183,7 +223,8 @@ class CovarianceInflation:
                 seen: {kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()} for kind in kinds}
                 for seen, kinds in SEEN.items()
             }
-            return cls(widenings, data.get(SHARES, {}), data.get(DEPTHS, {}))
+            curves = CurveFactors.from_plain(data[CURVES]) if CURVES in data else None
+            return cls(widenings, data.get(SHARES, {}), data.get(DEPTHS, {}), curves)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise FileFormatError(path, f"no table of widenings: {error}") from error
 

@@ -20,11 +20,13 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angles import all_observed
+from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reporting.analysis import SHOWN, angles_over_time, gait_cycles
+from rtof_kin.solve.uncertainty import CovarianceInflation
 
 BODY = SkeletonModel.default()
 REACTION = {"ground_reaction.csv", "ground_reaction.json"}
@@ -151,6 +153,40 @@ def test_bands_of_ranges_and_headings_are_written(tmp_path: Path) -> None:
     assert (knee["uncertain_high_s"], knee["uncertain_high_deg"]) == ("0.0", "")
     least, most = (float(knee[f"range_interval_{end}_deg"]) for end in ("low", "high"))
     assert least < float(knee["range_deg"]) < most
+
+
+def test_bands_of_whole_curves_are_written_where_the_sensors_are_known(tmp_path: Path) -> None:
+    motion = walk()
+    analysis = analyse(replace(motion, confidence=certain_to(3.0, motion)))
+    factors = CovarianceInflation.shipped().curves
+    assert factors is not None
+    factor = factors.factor("right_knee_flexion", 8)
+    assert factor is not None
+    for sensors in (8, None):
+        folder = tmp_path / str(sensors)
+        folder.mkdir()
+        write_analysis(analysis, folder, sensors)
+        header, *lines = (folder / "range_of_motion.csv").read_text().splitlines()
+        rows = {line.split(",")[0]: dict(zip(header.split(","), line.split(","), strict=True)) for line in lines}
+        half = rows["right_knee_flexion"]["curve_half_width_deg"]
+        told = read(folder / "angles.json")["whole_curves"]
+        if sensors:
+            assert float(half) == pytest.approx(3 * factor, rel=0.02)
+            assert told["factor"]["right_knee_flexion"] == factor
+            assert f"in 90 % of recordings of 2 to 10 s of people like the {factors.people} measured" in told["meaning"]
+        else:
+            assert (half, told) == ("", None)
+
+
+def test_the_band_of_a_whole_curve_is_that_of_its_least_certain_reliable_frame() -> None:
+    motion = walk()
+    analysis = analyse(replace(motion, confidence=certain_to(3.0, motion)))
+    (column,) = (a for a, name in enumerate(analysis.angles.names) if name == "right_knee_flexion")
+    sigma, trusted = (np.array(own) for own in (analysis.angles.sigma, analysis.angles.trusted))
+    sigma[40, column], sigma[50, column] = np.radians([7.0, 40.0])
+    trusted[50, column] = False
+    (knee,) = ranges_of_motion(replace(analysis.angles, sigma=sigma, trusted=trusted).select(["right_knee_flexion"]))
+    assert knee.largest_sigma == pytest.approx(np.radians(7.0))
 
 
 def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import document, plot_data
-from rtof_kin.reporting.analysis import gait_table
+from rtof_kin.reporting.analysis import curve_bands, gait_table
 from rtof_kin.reporting.angle_names import angle_name, side_and_name
 from rtof_kin.reporting.audit_results import ROOM_BAND, AuditResult
 from rtof_kin.reporting.document import Document, Section
@@ -470,6 +470,11 @@ def test_ranges_have_bands_and_headings_have_none() -> None:
     assert f"<b>{round(float(np.degrees(found.range)))}</b> ± {half}" in html
     assert "pelvis rotation" not in html
     assert "pelvis tilt" in html
+    assert "whole curve" not in html
+    whole = curve_bands(analysis.ranges, 0)
+    assert f"whole curve ± {round(float(np.degrees(whole['right_knee_flexion'].half)))}</small>" in html_of(
+        *range_tables(analysis.ranges, analysis.angles.rows, whole)
+    )
     unknown = html_of(*range_tables(analyse(walk()).ranges, analysis.angles.rows))
     assert "±" not in unknown
 

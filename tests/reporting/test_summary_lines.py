@@ -257,3 +257,11 @@ def test_sentences_of_the_audit_are_said_in_plain_words(technical: str, plain: s
 
 if __name__ == "__main__":
     GOLDEN.write_text(json.dumps({name: lines(name) for name in CASES}, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+
+def test_bands_rest_on_the_sensors_that_the_mode_uses() -> None:
+    found = summary()
+    assert [summary(mode).sensors for mode in ("rtof", "rto")] == [3, 0]
+    unplaced = [*found.inputs["sensors"], {"name": "spare", "segment": None}]
+    assert replace(found, inputs={**found.inputs, "sensors": unplaced}).sensors == 3
+    assert replace(found, inputs={}).sensors == 0

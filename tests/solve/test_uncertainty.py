@@ -11,6 +11,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.confidence.curves import as_toml as curves_as_toml
 from benchmarks.confidence.fitting import as_toml
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -25,6 +26,7 @@ from rtof_kin.solve.uncertainty import (
     USUAL_TORSO_SIGMA,
     WINDOW,
     CovarianceInflation,
+    CurveFactors,
     Disagreement,
     ResidualStatistics,
     Widening,
@@ -333,3 +335,49 @@ def test_bands_grow_where_the_legs_misfit_and_less_with_sensors_on_the_thighs() 
     assert not wide.relative_sigma[:, 0].any()
     assert np.degrees(np.sqrt(wide.turn("LeftUpLeg", "LeftLeg")[0, 0, 0])) > 10.0
     assert not sensed.turn("LeftUpLeg", "LeftLeg").any()
+
+
+CURVE_FACTORS = CurveFactors({0: {"knee_flexion": 4.0}, 8: {"knee_flexion": 3.0, "hip_flexion": 2.5}}, 21, 0.9, "clips")
+
+
+def test_curve_factors_are_equal_on_both_sides_and_those_of_the_next_smaller_set() -> None:
+    sides = [CURVE_FACTORS.factor(f"{side}knee_flexion", 8) for side in ("right_", "left_", "")]
+    assert sides == [3.0, 3.0, 3.0]
+    assert [CURVE_FACTORS.factor("knee_flexion", count) for count in (0, 7, 9, 17)] == [4.0, 4.0, 3.0, 3.0]
+    assert CURVE_FACTORS.factor("hip_flexion", 4) is None  # those of eight sensors are no factors of four
+    assert CURVE_FACTORS.factor("left_hip_flexion", 10) == 2.5
+    assert CurveFactors({4: {"knee_flexion": 2.0}}, 9, 0.9).factor("knee_flexion", 0) is None
+
+
+def test_curve_factors_are_read_with_the_inflation(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(as_toml(inflation()) + "\n" + curves_as_toml(CURVE_FACTORS))
+    assert CovarianceInflation.read(tmp_path / "a.toml").curves == CURVE_FACTORS
+    (tmp_path / "b.toml").write_text(as_toml(inflation()))
+    assert CovarianceInflation.read(tmp_path / "b.toml").curves is None
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("people = 0\nlevel = 0.9", "level 0.9 of 0 people"),
+        ("people = 9\nlevel = 1.0", "level 1.0 of 9 people"),
+        ("people = 9", "no table of widenings"),
+        ("people = 9\nlevel = 0.9\n[curve.8]\nknee_flexion = inf", "inf of knee_flexion with 8 sensors"),
+        ("people = 9\nlevel = 0.9\neight = 3", "no table of widenings"),
+    ],
+)
+def test_invalid_curve_factors_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.toml").write_text(as_toml(inflation()) + "\n[curve]\n" + text)
+    with pytest.raises(FileFormatError, match=message):
+        CovarianceInflation.read(tmp_path / "a.toml")
+
+
+def test_shipped_curves_are_those_of_enough_people_and_wider_than_single_frames() -> None:
+    shipped = CovarianceInflation.shipped().curves
+    assert shipped is not None
+    assert set(shipped.factors) == {0, 4, 8, 10}
+    assert shipped.people / (shipped.people + 1) > shipped.level
+    for sensors in shipped.factors:
+        knee = shipped.factor("right_knee_flexion", sensors)
+        assert knee is not None
+        assert knee > 1.96

@@ -136,6 +136,6 @@ def squatting(count: int = 4, depth: float = 0.35) -> Motion:
     return stepping(times, {"right": ankle, "left": ankle})
 
 
-def write_analysis(analysis: MotionAnalysis, folder: Path) -> None:
-    """Write the tables of an analysis, without figures."""
-    write_files(replace(document(analysis), figures=()), folder)
+def write_analysis(analysis: MotionAnalysis, folder: Path, sensors: int | None = None) -> None:
+    """Write the tables of an analysis, without figures; sensors: those that the bands rest on."""
+    write_files(replace(document(analysis, sensors), figures=()), folder)
