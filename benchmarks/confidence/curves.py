@@ -74,7 +74,7 @@ def curve_factors(found: Iterable[Curve], made_of: str) -> CurveFactors:
 
 
 def as_toml(factors: CurveFactors) -> str:
-    """The text of the table in the inflation's file."""
+    """The text of the table in the inflation's file; factors are rounded up, so that they keep their level."""
     lines = [
         f"[{CURVES}]  # standard deviations that contain a whole curve, by number of sensors and angle",
         f"people = {factors.people}",
@@ -82,7 +82,11 @@ def as_toml(factors: CurveFactors) -> str:
         f'made_of = "{factors.made_of}"',
     ]
     for sensors, own in sorted(factors.factors.items()):
-        lines += ["", f"[{CURVES}.{sensors}]", *(f"{angle} = {factor:.3g}" for angle, factor in own.items())]
+        lines += [
+            "",
+            f"[{CURVES}.{sensors}]",
+            *(f"{angle} = {np.ceil(100 * factor - 1e-6) / 100:g}" for angle, factor in own.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -248,9 +248,10 @@ def test_the_section_says_what_was_inside() -> None:
 
 def test_the_inflation_is_left_as_it_is() -> None:
     inflation = "# Made.\n[apart]\ncamera = { turn = 1 }\n"
-    factors = CurveFactors({0: {"hip_flexion": 2.5}}, 21, 0.9, "clips")
+    factors = CurveFactors({0: {"hip_flexion": 2.501}}, 21, 0.9, "clips")
     assert split_file(inflation) == (inflation, False)
     assert split_file(inflation + "\n" + as_toml(factors)) == (inflation, True)
+    assert "hip_flexion = 2.51\n" in as_toml(factors)  # rounded up, as a level is a least one
 
 
 def test_people_of_curves_are_in_no_fit_and_no_test() -> None:
