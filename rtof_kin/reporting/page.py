@@ -146,7 +146,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         contents=_CONTENTS,
         way=way_line(analysis.travel),
         ranges=range_tables(analysis.ranges, analysis.angles.rows, whole),
-        whole_curves=f"Whole curve \u00b1: {curve_note()}." if whole else "",
+        whole_curves=f"Curve, in parentheses: {curve_note()}." if whole else "",
         bands="Bands are 95 % intervals of the motion's confidence." if bands else f"There are no bands: {NO_BANDS}.",
         sampling=sampling,
         gait=gait_table(analysis.gait) if analysis.gait.is_gait else None,
@@ -194,7 +194,7 @@ def range_tables(
     def ends(own: RangeOfMotion | None, name: AngleName) -> str:
         shown, band = _ends(own, name), (whole or {}).get(own.name) if own else None
         return (
-            Markup("{} <small>whole curve \u00b1 {}</small>").format(shown, _whole(band.half))
+            Markup("{} <small class='curve'>(\u00b1 {})</small>").format(shown, _whole(band.half))
             if band and shown
             else shown
         )
@@ -223,8 +223,9 @@ def range_tables(
             f"{round(difference):+d}".replace("+0", "0") if math.isfinite(difference) else "",
             *map(_peak, sides),
         )
-    columns = ("angle", "range [deg]", "from, to [deg]", "peak [deg/s]")
-    of_sides = [f"{side}: {what}" for side in SIDES for what in ("range [deg]", "from, to")]
+    curve = " (curve)" if whole else ""
+    columns = ("angle", "range [deg]", f"from, to [deg]{curve}", "peak [deg/s]")
+    of_sides = [f"{side}: {what}" for side in SIDES for what in ("range [deg]", f"from, to{curve}")]
     of_both = ("angle", *of_sides, "right - left", *(f"{side}: peak [deg/s]" for side in SIDES))
     out = []
     for names, cells, title, kind in (

@@ -470,11 +470,12 @@ def test_ranges_have_bands_and_headings_have_none() -> None:
     assert f"<b>{round(float(np.degrees(found.range)))}</b> ± {half}" in html
     assert "pelvis rotation" not in html
     assert "pelvis tilt" in html
-    assert "whole curve" not in html
+    assert "curve" not in html
     whole = curve_bands(analysis.ranges, 0)
-    assert f"whole curve ± {round(float(np.degrees(whole['right_knee_flexion'].half)))}</small>" in html_of(
-        *range_tables(analysis.ranges, analysis.angles.rows, whole)
-    )
+    half = round(float(np.degrees(whole["right_knee_flexion"].half)))
+    html = html_of(*range_tables(analysis.ranges, analysis.angles.rows, whole))
+    assert f"<small class='curve'>(± {half})</small>" in html
+    assert "right: from, to (curve)" in html
     unknown = html_of(*range_tables(analyse(walk()).ranges, analysis.angles.rows))
     assert "±" not in unknown
 
