@@ -38,8 +38,9 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.imu_stream import StreamFault
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.reconstruction.camera_evidence import without_heading_drift
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.quality import with_covariances
@@ -57,6 +58,7 @@ _DRAWS: Final = 500
 LEAST_SECONDS: Final = 4.0  #: [s] Shorter recordings are not certified
 MOST_SECONDS: Final = 15.0  #: [s] of a longer recording that are certified: those in which the sensors turn most
 _MARGIN_S: Final = 1.0  #: [s] of samples on both sides of them
+LEAST_KNOWN_S: Final = 2.0  #: [s] of samples that a sensor needs to be compared
 _MOVING: Final = 0.15  #: [rad/s] RMS below which a sensor does not show movement
 _ENDS: Final = (("LeftHand", "RightFoot"), ("RightHand", "LeftFoot"), ("Head",))
 """Joints whose points in the image are left out together."""
@@ -71,7 +73,7 @@ class LeftOut:
     times: Array  #: (T,) s
     error: Array  #: (T, 2) rad, size of measured against predicted with the declared mounting; NaN where unknown
     movement: Array  #: (T, 2) rad, the same with mounting and heading of the other half of the time
-    stated: Array  #: (T, 2) rad, standard deviations that were stated of the prediction; NaN in mode imu
+    stated: Array  #: (T, 2) rad, standard deviations stated of the prediction; NaN in mode imu, and where `error` is
     sensor_sd: Array  #: (2,) rad, error of the sensor itself
     found: bool  #: Whether its mounting was found from this motion
     drift: Array  #: (2,) rad/s: drift of its heading against the prediction, and the standard deviation of that
@@ -89,6 +91,11 @@ class LeftOut:
     def measured(self) -> Array:
         """(2,) rad, root mean square of measured against predicted."""
         return _rms(self.error)
+
+    @property
+    def moved(self) -> Array:
+        """(2,) rad, root mean square of the error of the movement."""
+        return _rms(self.movement)
 
     @property
     def expected(self) -> Array:
@@ -117,12 +124,16 @@ class LeftOut:
         low, high = np.quantile(rms, (0.025, 0.975))
         return float(low), float(high)
 
+    @property
+    def sizes(self) -> Array:
+        """(n,) rad, errors of the frames that are known, of the certified size."""
+        size = np.linalg.norm(self.error, axis=1)
+        scale = np.linalg.norm(self.certified) / np.linalg.norm(self.measured)
+        return np.asarray(scale * size[np.isfinite(size)])
+
     def below(self, share: float) -> float:
         """Return the error, rad, that a share of the frames is below, of the certified size."""
-        size = np.linalg.norm(self.error, axis=1)
-        size = size[np.isfinite(size)]
-        scale = np.linalg.norm(self.certified) / np.linalg.norm(self.measured)
-        return float(scale * np.quantile(size, share))
+        return float(np.quantile(self.sizes, share))
 
 
 @dataclass(frozen=True)
@@ -137,12 +148,12 @@ class LeftOutPoints:
     @property
     def rms(self) -> float:
         """Root mean square error, m."""
-        return float(np.sqrt(np.nanmean(self.error**2)))
+        return float(_rms(self.error[:, None])[0])
 
     @property
     def expected(self) -> float:
-        """Root mean square of what was stated, m."""
-        return float(np.sqrt(np.nanmean(self.stated**2)))
+        """Root mean square of what was stated, m; NaN where nothing was."""
+        return float(_rms(self.stated[:, None])[0])
 
 
 @dataclass(frozen=True)
@@ -153,6 +164,7 @@ class Certificate:
     stop: float  #: [s] The part that was certified
     left_out: tuple[LeftOut, ...] = ()
     points: tuple[LeftOutPoints, ...] = ()
+    untested: tuple[tuple[str, str], ...] = ()  #: Segments whose sensor shows nothing, and why
     reason: str = ""  #: Why nothing is certified; '' where something is
 
     @property
@@ -168,7 +180,13 @@ class Certificate:
     @property
     def below_90(self) -> float:
         """Error, rad, that nine in ten frames of all left-out sensors are below."""
-        return float(np.mean([one.below(0.9) for one in self.left_out])) if self.left_out else float("nan")
+        if not self.left_out:
+            return float("nan")
+        sizes = [one.sizes for one in self.left_out]
+        each = np.concatenate([np.full(len(own), 1 / len(own)) for own in sizes])  # a sensor counts as another
+        every = np.concatenate(sizes)
+        order = np.argsort(every)
+        return float(every[order][np.searchsorted(np.cumsum(each[order]), 0.9 * len(sizes))])
 
     @property
     def ratio(self) -> float:
@@ -178,6 +196,13 @@ class Certificate:
     def of(self, joint: str) -> LeftOut | None:
         """Return the sensor of a segment."""
         return next((one for one in self.left_out if one.joint == joint), None)
+
+    def limb(self, skeleton: SkeletonModel) -> tuple[str, ...]:
+        """Return the segments of the limb that carries all sensors; () where there are sensors elsewhere."""
+        limbs = {_limb(skeleton, skeleton.index(one.joint)[0]) for one in self.left_out}
+        if len(limbs) != 1:
+            return ()
+        return tuple(name for j, name in enumerate(skeleton.names) if _limb(skeleton, j) in limbs)
 
     def neighbours(self, joint: str, skeleton: SkeletonModel) -> tuple[LeftOut, ...]:
         """Return the left-out sensors nearest to a segment along the skeleton, all at the same distance."""
@@ -214,20 +239,24 @@ def certify(
     """
     times, measured = motion.times, job.recording.bone_imus()
     start, stop = float(times[0]), float(times[-1])
-    if reason := _impossible(mode, measured, stop - start):
+    reason = impossible(mode, () if measured is None else measured.joints, stop - start)
+    if any(fault.kind is FaultKind.FOREIGN for fault in rejected):
+        reason = "the sensors do not belong to this video, and testify nothing of it"
+    if reason or measured is None:
         return Certificate(start, stop, reason=reason)
-    assert measured is not None
     if stop - start > MOST_SECONDS:
         times = times[_liveliest(measured.resample(times), motion.poses.rate_hz)]
         start, stop = float(times[0]), float(times[-1])
-        recording = job.recording.between(start - _MARGIN_S, stop + _MARGIN_S)
-        job = replace(job, recording=recording, times=times)
-    imus, declared = job.recording.imus, job.recording.calibration
-    assert imus is not None
-    assert declared is not None
-    measured = declared.apply(imus)
-    carried = dict(zip(imus.names, measured.joints, strict=True))
-    work = [_Without(job, mode, rejected, calibration, sensor=name, joint=carried[name]) for name in imus.names]
+        job = replace(job, recording=job.recording.between(start - _MARGIN_S, stop + _MARGIN_S))
+    job = replace(job, times=times)
+    imus, measured = job.recording.imus, job.recording.bone_imus(times=times)
+    if imus is None or measured is None:
+        return Certificate(start, stop, reason="the sensors have no samples")
+    seconds = np.isfinite(measured.R_world_bone[:, :, 0, 0]).sum(axis=0) / motion.poses.rate_hz
+    carried = zip(imus.names, measured.joints, seconds >= LEAST_KNOWN_S, strict=True)
+    work = [_Without(job, mode, rejected, calibration, sensor=s, joint=joint) for s, joint, known in carried if known]
+    silent = set(measured.joints) - {one.joint for one in work}
+    untested = [(joint, f"its sensor has less than {LEAST_KNOWN_S:g} s of samples there") for joint in sorted(silent)]
     if mode == "rtof":
         views = len(job.recording.views)
         work += [_Without(job, mode, rejected, calibration, joints=ends) for ends in _ENDS]
@@ -239,14 +268,13 @@ def certify(
             done += 1
             job.progress("certificate", done, len(work))
             if predicted is None:
-                continue
-            if one.sensor:
-                at = measured.resample(predicted.times)
-                found.append(_compared(one, predicted, at.select((one.joint,))))
+                untested += [(one.joint, "without its sensor nothing could be reconstructed")] if one.sensor else []
+            elif one.sensor:
+                found.append(_compared(one, predicted, measured.select((one.joint,))))
             else:
                 points += one.compared_points(predicted)
-    reason = "" if found else "no reconstruction without a sensor succeeded"
-    return Certificate(start, stop, tuple(found), tuple(points), reason)
+    reason = "" if found else f"no sensor could be left out: {untested[0][0]}, {untested[0][1]}"
+    return Certificate(start, stop, tuple(found), tuple(points), tuple(untested), reason)
 
 
 def _liveliest(measured: BoneImuSequence, rate_hz: float) -> slice:
@@ -258,12 +286,14 @@ def _liveliest(measured: BoneImuSequence, rate_hz: float) -> slice:
     return slice(first, first + count)
 
 
-def _impossible(mode: Mode, measured: BoneImuSequence | None, seconds: float) -> str:
-    """Return why no sensor can be left out; '' if one can."""
-    if measured is None or mode not in ("rtof", "imu"):
+def impossible(mode: Mode, joints: Sequence[str], seconds: float) -> str:
+    """Return why no sensor can be left out; '' if one can. joints: of the segments with sensors."""
+    if not joints:
         return "a camera alone proves no angle: add a sensor, or evaluate against a reference"
-    if len(measured.joints) < 2:
-        return "one sensor leaves nothing to predict it from: add one"
+    if mode not in ("rtof", "imu"):
+        return f"mode {mode} is not tested by sensors: use rtof"
+    if len(joints) < 2:
+        return "one sensor leaves no other to predict it from: add one"
     if seconds < LEAST_SECONDS:
         return f"{seconds:.1f} s are too short: record {LEAST_SECONDS:g} s at least"
     return ""
@@ -320,9 +350,13 @@ class _Without:
     def compared_points(self, predicted: Motion) -> Iterator[LeftOutPoints]:
         """Yield the errors of the points that were left out."""
         recording, poses, known = self.job.recording, predicted.poses, predicted.confidence
+        imus = recording.bone_imus(times=predicted.times)
         cameras = recording.views if self.views else (recording.video,)
         for number, seen in enumerate(cameras, start=2):
-            seen = seen.resample(predicted.times).landmarks
+            seen = seen.resample(predicted.times)
+            if not self.views and seen.camera.heading_drift and imus is not None:  # as `Job.prepare` removes it
+                seen = without_heading_drift(seen, imus, self.job.subject, self.job.lifter)
+            seen = seen.landmarks
             points = image_points(self.job.subject, seen.names)
             at = points.positions(poses.p_world_joint, poses.R_world_bone)
             off = seen.uv_px - seen.camera.project(at)
@@ -351,7 +385,8 @@ def _compared(one: _Without, predicted: Motion, measured: BoneImuSequence) -> Le
         stated = np.sqrt(np.maximum(np.stack([across, about], axis=1), 0.0))
     error, aligned = so3.known_log(np.swapaxes(B, -1, -2) @ M), M.copy()
     known = np.isfinite(error).all(axis=1)
-    first = np.arange(len(B)) < len(B) // 2
+    stated[~known] = np.nan
+    first = np.cumsum(known) <= known.sum() // 2
     for own, other in ((first, ~first), (~first, first)):
         H, C = _mounting(B[other & known], M[other & known])
         aligned[own] = H @ M[own] @ C
@@ -448,6 +483,13 @@ def _mean_square(values: Array) -> Array:
 def _pooled(parts: Sequence[Array]) -> float:
     """Root of the mean over sensors of the squares of swing and twist (2,) together."""
     return float(np.sqrt(np.mean([np.sum(part**2) for part in parts]))) if parts else float("nan")
+
+
+def _limb(skeleton: SkeletonModel, joint: int) -> int:
+    """Return the first segment of the chain without branches that a segment belongs to."""
+    while (parent := skeleton.parents[joint]) >= 0 and len(kinematics.children_of(skeleton.parents, parent)) == 1:
+        joint = parent
+    return joint
 
 
 def _distances(skeleton: SkeletonModel, joint: int) -> Mapping[int, int]:

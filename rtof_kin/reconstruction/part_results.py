@@ -299,6 +299,7 @@ def joined(parts: Sequence[Reconstruction]) -> Reconstruction:
         faults=merge_faults(fault for part in parts for fault in part.faults),
         warnings=joined_warnings(findings),
         checks=joined_checks(findings),
+        certificate=next((part.certificate for part in parts if part.certificate is not None), None),
         parts=tuple(parts),
     )
 

@@ -20,6 +20,7 @@ from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
+from rtof_kin.reconstruction.certificate import impossible
 from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting import certificate
@@ -314,15 +315,11 @@ def _certificate(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         return
     if any(_truth(statistics)):
         return
-    imus = statistics.first.bone_imus
-    if imus is None:
-        why = "a camera alone proves no angle: add a sensor, or evaluate against a reference"
-    elif len(imus.joints) == 1:
-        why = "one sensor leaves nothing to predict it from: add one"
-    elif statistics.first.keypoints is None:
-        why = "without a camera no error is stated to compare a left-out sensor with: film it too"
-    else:
-        why = "no sensor was left out: reconstruct with --certificate"
+    first = statistics.first
+    calibration, imus = first.recording.calibration, first.recording.imus
+    joints = () if imus is None or calibration is None else calibration.select(imus.names).joints
+    why = impossible(first.mode, joints, statistics.seconds) or (certificate.UNSTATED if first.mode == "imu" else "")
+    why = why or "no sensor was left out: reconstruct with --certificate"
     yield AuditResult.not_checked(CERTIFICATE, "motion", why)
 
 

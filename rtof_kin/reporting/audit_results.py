@@ -310,8 +310,8 @@ def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[Au
     """
     checked = [verdict.section for verdict in sections if verdict.grade is Grade.PASS]
     not_proven = _not_proven(results) if checked else ""
-    weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK]
     said = CERTIFICATE if not_proven else ""
+    weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK and v.section != said]
     unknown = list(result_lines([result for result in results if result.section != said], Grade.NOT_CHECKED))
     if checked and not not_proven and not any(result.section == "truth" for result in results):
         unknown.append("the error itself: there is no reference")
@@ -331,5 +331,6 @@ def _not_proven(results: Sequence[AuditResult]) -> str:
     compared = any(result.section == "truth" and math.isfinite(result.value) for result in results)
     if compared or section_verdict(CERTIFICATE, results).grade is Grade.PASS:
         return ""
-    notes = (r.note for r in results if r.section == CERTIFICATE and r.grade is Grade.NOT_CHECKED)
+    said = (Grade.NOT_CHECKED, Grade.WEAK)
+    notes = (r.note for r in results if r.section == CERTIFICATE and r.grade in said)
     return next(notes, "nothing was compared with a left-out sensor or a reference: reconstruct again")

@@ -8,25 +8,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from markupsafe import Markup
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, NonNegativeFloat
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable
-from rtof_kin.core.checks import some
 from rtof_kin.reconstruction.certificate import Certificate, LeftOut
 from rtof_kin.reporting.angle_names import plain_words
 from rtof_kin.reporting.audit_results import AuditResult
-from rtof_kin.reporting.document import Cell, Table, number, write_csv
+from rtof_kin.reporting.document import Cell, Table, number, sentence, write_csv
 
 TABLE: Final = "certificate.csv"
 SECTION: Final = "certificate"
 WORSE, MUCH_WORSE = 1.8, 2.5
 """[1] Certified relative to stated error, all sensors, that warns and fails: 1 and 0 % of the recordings of held-out
 people and rigs without a fault have more (benchmarks/results/certificate.md)."""
+UNSTATED: Final = "without a camera no error is stated to compare a left-out sensor with: film it too"
 _RATIO: Final = "error of segments without their sensor, relative to what was stated of it"
 _ALONE: Final = "error without its sensor, RMS"
 
@@ -63,7 +63,7 @@ def _sensor(one: LeftOut) -> dict[str, Any]:
         "stated_deg": _degrees(_length(one.expected)),
         "measured_deg": _degrees(_length(one.measured)),
         "measured_interval_deg": [_degrees(low), _degrees(high)],
-        "movement_deg": _degrees(float(np.sqrt(np.nanmean(np.sum(one.movement**2, axis=1))))),
+        "movement_deg": _degrees(_length(one.moved)),
         "drift_deg_per_min": _degrees(60 * one.drift[0]),
         "drift_sd_deg_per_min": _degrees(60 * one.drift[1]),
         "rate_error_deg_s": _degrees(rate),
@@ -96,16 +96,33 @@ def sentences(found: Certificate, skeleton: SkeletonModel) -> Iterator[str]:
     if found.ratio > WORSE:
         yield f"errors are {found.ratio:.1f} times what is stated: this recording is worse than usual"
     yield "a segment with its sensor is not expected to be worse than without it; how much better is not certified"
-    never = [joint for joint, _ in skeleton.sensors.values() if found.of(joint) is None]
-    for joint in never:
-        near = found.neighbours(joint, skeleton)
-        names, worst = some([one.joint for one in near], 3), max(_length(one.certified) for one in near)
-        yield f"{joint} had no sensor: nothing measured it; the nearest, {names}, are predicted to {_angle(worst)}"
-    if still := [one.joint for one in found.left_out if not one.moves]:
-        yield f"{some(still, 4)} hardly moved: posture is certified there, not movement"
+    yield f"tested from {found.start:.1f} to {found.stop:.1f} s"
+    for joint, why in found.untested:
+        yield f"{joint} was not tested: {why}"
+    yield from limits(found, skeleton)
+    limb, alike = found.limb(skeleton), dict[tuple[str, ...], list[str]]()
+    for joint, _ in skeleton.sensors.values():
+        near = tuple(one.joint for one in found.neighbours(joint, skeleton))
+        if joint not in near and joint not in dict(found.untested) and (not limb or joint in limb):
+            alike.setdefault(near, []).append(joint)
+    for near, joints in alike.items():
+        worst = max(_length(one.certified) for one in found.left_out if one.joint in near)
+        names, nearest = ", ".join(joints), ", ".join(near)
+        yield f"no sensor measured {names}: the nearest ({nearest}) can be predicted to {_angle(worst)}"
+    still = [one.joint for one in found.left_out if not one.moves]
+    if 0 < len(still) < len(found.left_out):
+        yield f"{', '.join(still)} hardly moved: posture is certified there, not movement"
     if estimated := [one.joint for one in found.left_out if one.found]:
-        what = "all segments" if len(estimated) == len(found.left_out) else some(estimated, 4)
+        what = "all segments" if len(estimated) == len(found.left_out) else ", ".join(estimated)
         yield f"how the sensors sit on {what} was found from this motion: constant errors are not certified there"
+
+
+def limits(found: Certificate, skeleton: SkeletonModel) -> Iterator[str]:
+    """Yield why a certificate proves no angles of the whole body, or no movement."""
+    if found.left_out and found.limb(skeleton):
+        yield "all sensors that were tested are on one limb: nothing is certified of the other segments"
+    if found.left_out and not any(one.moves for one in found.left_out):
+        yield "no sensor moved: posture is certified, not movement"
 
 
 def _angle(radians: float) -> str:
@@ -115,22 +132,23 @@ def _angle(radians: float) -> str:
 
 def results(found: Certificate, skeleton: SkeletonModel) -> Iterator[AuditResult]:
     """Yield the certificate as results of the audit."""
-    said = list(sentences(found, skeleton))
     if found.reason:
         yield AuditResult.not_checked(SECTION, "sensors", found.reason)
         return
-    worst = max(found.left_out, key=lambda one: _length(one.measured) / max(_length(one.expected), 1e-9))
     if math.isnan(found.ratio):
-        yield AuditResult.not_checked(SECTION, "sensors", "without a camera no error is stated to compare with", _RATIO)
+        yield AuditResult.not_checked(SECTION, "sensors", UNSTATED, _RATIO)
     else:
-        note = f"worst {worst.joint}: mounting, headings, clock or bones may be wrong, or the person is unusual"
+        of = {one.joint: _length(one.certified) / max(_length(one.expected), 1e-9) for one in found.left_out}
+        worst = max(of, key=lambda joint: np.nan_to_num(of[joint]))
+        note = f"worst {worst}: mounting, headings, clock or bones may be wrong, or the person is unusual"
         source = "held-out people and rigs, benchmarks/results/certificate.md"
         yield AuditResult(SECTION, _RATIO, "all sensors", found.ratio, "times", WORSE, MUCH_WORSE, source, note)
+    weak = tuple(limits(found, skeleton))
+    for said in sentences(found, skeleton):
+        yield AuditResult.remark(SECTION, "recording", said, weak=said in weak)
     for one in found.left_out:
         size = float(np.degrees(_length(one.certified)))
         yield AuditResult(SECTION, _ALONE, one.joint, size, "deg", source="for information")
-    for sentence in said:
-        yield AuditResult.remark(SECTION, "recording", sentence)
 
 
 def write_frames(found: Certificate, folder: Path) -> None:
@@ -147,23 +165,32 @@ def write_frames(found: Certificate, folder: Path) -> None:
     write_csv(folder / TABLE, Table(("sensor", "segment", "time_s", *names), rows()))
 
 
+_Size = Annotated[NonNegativeFloat, Field(allow_inf_nan=False)] | None
+
+
 class CertifiedSegment(BaseModel):
     """A left-out sensor in ``summary.json``."""
 
     segment: str
-    error_deg: float | None
-    below_90_deg: float | None
-    stated_deg: float | None
-    movement_deg: float | None
-    rate_error_deg_s: float | None
+    error_deg: _Size
+    below_90_deg: _Size
+    stated_deg: _Size
+    movement_deg: _Size
+    rate_error_deg_s: _Size
 
 
 class CertificateSummary(BaseModel):
     """The certificate in ``summary.json``, as far as a page shows it."""
 
-    sentences: tuple[str, ...]
+    sentences: Annotated[tuple[str, ...], Field(min_length=1)]
     sensors: tuple[CertifiedSegment, ...]
-    error_deg: float | None
+    error_deg: _Size
+
+
+def section(found: CertificateSummary, words: AngleTable) -> dict[str, Any]:
+    """Return what a page shows: sentences in plain words, table and picture."""
+    said = [sentence(plain_words(one, words)) for one in found.sentences]
+    return {"sentences": said, "table": table(found, words), "picture": picture(found, words)}
 
 
 def table(found: CertificateSummary, words: AngleTable) -> Table:
@@ -176,24 +203,27 @@ def table(found: CertificateSummary, words: AngleTable) -> Table:
     return Table(columns, rows, digits=(None, 1, 1, 1, 1, 0), row_headers=True)
 
 
-_ROW, _LEFT, _WIDE, _MOST = 22, 130, 420, 30.0  # px of the picture; [deg] end of the scale
+_ROW, _LEFT, _WIDE = 22, 130, 420  # px of the picture
 
 
 def picture(found: CertificateSummary, words: AngleTable) -> Markup:
     """Return bars of the certified errors with the stated ones as ticks, SVG."""
-    scale, bars = _WIDE / _MOST, Markup()
+    largest = max((s or 0.0 for one in found.sensors for s in (one.error_deg, one.stated_deg)), default=0.0)
+    step = 10 if largest <= 60 else 30
+    most = min(step * max(3, math.ceil(largest / step)), 180)
+    scale, bars = _WIDE / most, Markup()
     for i, one in enumerate(found.sensors):
-        y, end = 8 + _ROW * i, scale * min(one.error_deg or 0.0, _MOST)
+        y, end = 8 + _ROW * i, scale * min(one.error_deg or 0.0, most)
         name = plain_words(one.segment, words)
         bars += Markup('<text x="{}" y="{}" text-anchor="end">{}</text>').format(_LEFT - 8, y + 11, name)
         bars += Markup('<rect x="{}" y="{}" width="{:.1f}" height="12"/>').format(_LEFT, y, end)
         if one.stated_deg is not None:
-            x = _LEFT + scale * min(one.stated_deg, _MOST)
+            x = _LEFT + scale * min(one.stated_deg, most)
             bars += Markup('<path d="M{:.1f} {}v18"/>').format(x, y - 3)
     bottom = 14 + _ROW * len(found.sensors)
     ticks = Markup().join(
-        Markup('<text x="{:.0f}" y="{}" text-anchor="middle">{}</text>').format(_LEFT + scale * d, bottom + 12, d)
-        for d in range(0, int(_MOST) + 1, 10)
+        Markup('<text x="{:.0f}" y="{}" text-anchor="middle">{}°</text>').format(_LEFT + scale * d, bottom + 12, d)
+        for d in range(0, most + 1, step)
     )
     label = "Error of each segment without its sensor, degrees; the line is what was stated"
     return Markup('<svg class="certificate" viewBox="0 0 {} {}" role="img" aria-label="{}">{}{}</svg>').format(

@@ -278,7 +278,7 @@ def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
         if result.name == FLEXION_ERROR and math.isfinite(result.value)
     )
     if summary.certificate is not None and summary.certificate.sensors:
-        seen += f" {sentence(summary.certificate.sentences[0])}."
+        seen += f" {sentence(plain_words(summary.certificate.sentences[0], analysis.table))}."
     widths = {name: half for name, half in _half_widths(analysis).items() if name.endswith("flexion")}
     if not widths:
         return f"The accuracy of the angles is not known: {NO_BANDS}. {seen}{reference}"

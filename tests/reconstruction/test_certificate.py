@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -12,13 +14,16 @@ from numpy.typing import NDArray
 from reconstruction_support import BODY, Case
 
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.reconstruction import certificate as module
-from rtof_kin.reconstruction.certificate import SENSOR_SD, SWING, TWIST, Certificate, LeftOut, factor
+from rtof_kin.reconstruction.certificate import SENSOR_SD, SWING, TWIST, Certificate, LeftOut, LeftOutPoints, factor
+from rtof_kin.reconstruction.part_results import cut, joined
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.audit_results import AuditResult, Grade, headline
 from rtof_kin.reporting.certificate import CertificateSummary, facts, picture, results, sentences, table
 
 Array = NDArray[np.float64]
@@ -158,19 +163,20 @@ def test_of_a_long_recording_the_part_with_most_movement_is_certified(
 @pytest.mark.parametrize(
     "changes, why",
     [
-        ({"imus": 1}, "one sensor leaves nothing"),
+        ({"imus": 1}, "one sensor leaves no other"),
+        ({"mode": "sf2"}, "mode sf2 is not tested by sensors"),
         ({"imus": 0}, "a camera alone proves no angle"),
         ({"seconds": 3.0}, "3.0 s are too short"),
     ],
 )
-def test_what_cannot_be_certified_says_why(case: Case, changes: dict[str, float], why: str) -> None:
-    recording, mode = case.recording, "rtof"
+def test_what_cannot_be_certified_says_why(case: Case, changes: dict[str, Any], why: str) -> None:
+    recording, mode = case.recording, changes.get("mode", "rtof")
     assert recording.imus is not None
     if "seconds" in changes:
         recording = recording.between(0.0, changes["seconds"])
-    elif changes["imus"]:
+    elif changes.get("imus"):
         recording = replace(recording, imus=recording.imus.select(recording.imus.names[:1]))
-    else:
+    elif "imus" in changes:
         recording, mode = replace(recording, imus=None, calibration=None), "rto"
     found = reconstruct(recording, BODY, mode, lifter=case.lifter(), settings=SETTINGS)
     assert found.certificate is not None
@@ -193,7 +199,9 @@ def test_sentences_name_what_has_no_witness() -> None:
     still = left_out(5.0, 5.0, "LeftArm", rate_rms=np.array([0.01, 0.05]))
     said = list(sentences(certificate(still, left_out(5.0, 5.0, "LeftUpLeg", found=True)), BODY))
     assert said[0].startswith("in this recording a segment without a sensor is predicted to 4.9 deg (90 %")
-    assert any(one.startswith("Hips had no sensor") and "LeftUpLeg" in one for one in said)
+    (hips,) = [one for one in said if "no sensor measured" in one and "Hips" in one]
+    assert hips.endswith("the nearest (LeftUpLeg) can be predicted to 5.4 deg")
+    assert len([one for one in said if "no sensor measured" in one]) <= 4  # those with the same neighbours are one
     assert any("LeftArm hardly moved" in one for one in said)
     assert any("found from this motion" in one and "LeftUpLeg" in one for one in said)
 
@@ -206,6 +214,113 @@ def test_facts_are_plain_and_the_page_shows_them() -> None:
     drawn = picture(summary, words)
     assert drawn.count("<rect") == 2
     assert drawn.count("<path") == 1  # nothing was stated of the other
+
+
+def test_segments_of_other_limbs_have_no_witness_and_stillness_shows_no_movement() -> None:
+    still = {"rate_rms": np.array([0.01, 0.05])}
+    both = left_out(5.0, 5.0, "LeftUpLeg"), left_out(5.0, 5.0, "LeftLeg")
+    for found, why in (
+        (certificate(*both), "on one limb"),
+        (
+            certificate(left_out(5.0, 5.0, "LeftArm", **still), left_out(5.0, 5.0, "RightLeg", **still)),
+            "no sensor moved",
+        ),
+    ):
+        own = tuple(results(found, BODY))
+        passed = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
+        about = headline([passed, *own])
+        assert about.grade is Grade.PLAUSIBLE
+        assert why in about.not_proven
+    said = " ".join(sentences(certificate(*both), BODY))
+    assert "LeftFoot" in said
+    assert "RightLeg" not in said  # a leg says nothing of the other
+    assert headline([passed, *results(certificate(both[0], left_out(5.0, 5.0, "LeftArm")), BODY)]).grade is Grade.PASS
+
+
+def test_nine_in_ten_frames_are_below_with_every_sensor_counting_the_same() -> None:
+    good, bad = left_out(5.0, 5.0), left_out(30.0, 30.0, "LeftArm", seed=1)
+    few = replace(bad, error=np.where(np.arange(T)[:, None] < 200, bad.error, np.nan))
+    found = certificate(good, few)
+    assert found.below_90 == pytest.approx(few.below(0.8), rel=0.02)
+    assert certificate(good).below_90 == pytest.approx(good.below(0.9), rel=0.01)
+    assert np.isnan(certificate().below_90)
+
+
+def test_sensors_that_ended_or_are_silent_are_told_from_segments_without_one(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("LEAST_SECONDS", 1.5), ("LEAST_KNOWN_S", 0.5), ("_ENDS", ())):
+        monkeypatch.setattr(module, name, value)
+    recording = case.recording.between(0.0, 2.0)
+    imus, calibration = recording.imus, recording.calibration
+    assert imus is not None
+    assert calibration is not None
+    imus = imus.select([imus.names[s] for s in (0, 2, 3)])
+    R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
+    for s, end in ((0, 0.2), (2, 1.3)):
+        R[imus.times > end, s], f[imus.times > end, s] = np.nan, np.nan
+    mounted = calibration.R_sensor_bone.copy()
+    mounted[3] = mounted[3] @ so3.exp(np.radians([25.0, 0.0, 0.0]))
+    imus, calibration = replace(imus, R_inertial_sensor=R, f_sensor=f), replace(calibration, R_sensor_bone=mounted)
+    changed = replace(case, recording=replace(recording, imus=imus, calibration=calibration))
+    found = changed.run(settings=SETTINGS).certificate
+    assert found is not None
+    assert [one.joint for one in found.left_out] == [JOINTS[2], JOINTS[3]]
+    assert found.untested == (("LeftArm", "its sensor has less than 0.5 s of samples there"),)
+    said = list(sentences(found, BODY))
+    assert any("LeftArm was not tested" in one for one in said)
+    assert not any("no sensor measured LeftArm" in one for one in said)
+    ended = found.left_out[-1]
+    assert 70 < np.isfinite(ended.error[:, 0]).sum() < 85
+    np.testing.assert_array_equal(np.isnan(ended.stated), np.isnan(ended.error))  # like with like
+    assert np.degrees(np.linalg.norm(ended.measured)) > 15.0
+    assert np.linalg.norm(ended.moved) < np.linalg.norm(ended.measured) / 2  # both halves of what was measured
+    json.dumps(facts(found, BODY), allow_nan=False)
+
+
+def test_sensors_of_another_recording_testify_nothing(case: Case, certified: Reconstruction) -> None:
+    foreign = tuple(StreamFault(FaultKind.FOREIGN, joint, 0.0, 4.0) for joint in JOINTS)
+    job = Job.of(case.recording, BODY, case.lifter(), SETTINGS)
+    assert "do not belong" in module.certify(job, "rtof", certified.motion, foreign).reason
+
+
+def test_where_no_reconstruction_succeeds_the_certificate_says_so(
+    case: Case, certified: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module._Without, "predicted", lambda self: None)
+    job = Job.of(case.recording, BODY, case.lifter(), SETTINGS)
+    found = module.certify(job, "rtof", certified.motion)
+    assert "LeftArm, without its sensor nothing could be reconstructed" in found.reason
+    assert not found.left_out
+    assert {joint for joint, _ in found.untested} == set(JOINTS)
+    assert list(facts(found, BODY)["sentences"])
+    json.dumps(facts(found, BODY), allow_nan=False)
+
+
+def test_the_certificate_of_a_later_part_is_that_of_the_whole(certified: Reconstruction) -> None:
+    first, second = cut(replace(certified, certificate=None), slice(0, 100)), cut(certified, slice(100, 250))
+    assert joined((first, second)).certificate is certified.certificate
+
+
+def test_points_without_stated_deviations_have_none() -> None:
+    nothing = np.full(T, np.nan)
+    assert np.isnan(LeftOutPoints("Head", TIMES, nothing + 1, nothing).expected)
+
+
+@pytest.mark.parametrize(
+    "damage", [{"error_deg": -1.0}, {"error_deg": float("nan")}, {"sentences": []}, {"sensors": 3}]
+)
+def test_a_damaged_summary_is_refused(damage: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(damage))):
+        CertificateSummary(**(facts(certificate(left_out(9.0, 6.0)), BODY) | damage))
+
+
+def test_the_picture_shows_large_errors_to_scale() -> None:
+    data = facts(certificate(left_out(75.0, 50.0), left_out(20.0, 10.0, "LeftArm")), BODY)
+    drawn = picture(CertificateSummary(**data), planted_words())
+    long, short = (float(width) for width in re.findall(r'<rect[^>]* width="([\d.]+)"', drawn))
+    assert long / short == pytest.approx(data["sensors"][0]["error_deg"] / data["sensors"][1]["error_deg"], rel=0.01)
+    assert "90°" in drawn
 
 
 def planted_words() -> Any:

@@ -15,6 +15,7 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import Check
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
+from rtof_kin.reconstruction import certificate
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -198,18 +199,30 @@ def test_a_wrong_height_and_violated_limits_are_results(good: Reconstruction) ->
     assert (found.value, found.grade) == (pytest.approx(35.0), Grade.FAIL)
 
 
+def with_sensors(found: Reconstruction, count: int) -> Reconstruction:
+    """The reconstruction of a recording with fewer sensors."""
+    imus = found.recording.imus
+    assert imus is not None
+    fewer = replace(found.recording, imus=imus.select(imus.names[:count]) if count else None)
+    return replace(found, recording=fewer)
+
+
 @pytest.mark.parametrize(
     ("change", "proof"),
     [
         (lambda r: r, "no sensor was left out"),
-        (lambda r: replace(r, bone_imus=r.bone_imus.select(r.bone_imus.joints[:1])), "one sensor leaves nothing"),
-        (lambda r: replace(r, bone_imus=None), "a camera alone proves no angle"),
-        (lambda r: replace(r, keypoints=None), "without a camera no error is stated"),
+        (lambda r: with_sensors(r, 1), "one sensor leaves no other"),
+        (lambda r: with_sensors(r, 0), "a camera alone proves no angle"),
+        (lambda r: replace(r, mode="rto"), "mode rto is not tested by sensors"),
+        (lambda r: replace(r, mode="imu", keypoints=None), "without a camera no error is stated"),
     ],
 )
 def test_without_a_reference_it_says_what_would_prove_the_angles(
-    good: Reconstruction, change: Callable[[Any], Any], proof: str
+    good: Reconstruction, change: Callable[[Any], Any], proof: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (short,) = [result for result in audit(replace(good, metrics=None)) if result.section == "certificate"]
+    assert "too short" in short.note
+    monkeypatch.setattr(certificate, "LEAST_SECONDS", 0.1)
     results = audit(replace(change(good), metrics=None))
     (own,) = [result for result in results if result.section == "certificate"]
     assert own.grade is Grade.NOT_CHECKED
