@@ -59,7 +59,7 @@ _PLAIN: Final = {
     r"\b(the )?root\b": r"\1pelvis",
 }
 """Pattern in a sentence of the audit -> plain words; the audit's own table keeps its terms."""
-_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|^(Head|Neck)\b")
+_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|(?<![^ (])(Head|Neck)\b")
 _CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
 
 

@@ -16,6 +16,7 @@ from reconstruction_support import BODY, Case
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.reconstruction import certificate as module
+from rtof_kin.reconstruction.camera_evidence import heading_turned
 from rtof_kin.reconstruction.certificate import SENSOR_SD, SWING, TWIST, Certificate, LeftOut, LeftOutPoints, factor
 from rtof_kin.reconstruction.part_results import cut, joined
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -295,6 +296,20 @@ def test_where_no_reconstruction_succeeds_the_certificate_says_so(
     assert {joint for joint, _ in found.untested} == set(JOINTS)
     assert list(facts(found, BODY)["sentences"])
     json.dumps(facts(found, BODY), allow_nan=False)
+
+
+def test_points_of_a_camera_in_the_hand_are_compared_without_its_drift(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video = case.recording.video
+    angle = np.radians(np.linspace(-4.0, 4.0, len(video)))
+    drifting = replace(video, camera=replace(video.camera, heading_drift=0.01))
+    job = Job.of(replace(case.recording, keypoints=heading_turned(drifting, angle)), BODY, case.lifter(), SETTINGS)
+    one, errors = module._Without(job, "rtof", (), None, joints=("Head",)), []
+    for sign in (0, -1):
+        monkeypatch.setattr(module, "without_heading_drift", lambda seen, *_, s=sign: heading_turned(seen, s * angle))
+        errors.append(next(one.compared_points(case.truth)).rms)
+    assert errors[0] > 5 * errors[1]
 
 
 def test_the_certificate_of_a_later_part_is_that_of_the_whole(certified: Reconstruction) -> None:
