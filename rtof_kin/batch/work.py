@@ -248,7 +248,7 @@ def _verdict(task: Task, state: _State) -> Row:
     found = json.loads(summary.read_text(encoding="utf-8"))
     frames, verdict = int(found["frames"]), found["verdict"]
     seconds = round(frames / found["rate_hz"], 3)
-    certificate = found.get("certificate", {})
+    certificate = found.get("certificate") or {}
     row = replace(row, certified_deg=certificate.get("error_deg"), certified_ratio=certificate.get("ratio"))
     return replace(row, verdict=verdict["grade"], sentence=verdict["headline"], frames=frames, duration_s=seconds)
 

@@ -195,14 +195,7 @@ def section(found: CertificateSummary, words: AngleTable) -> dict[str, Any]:
 
 def table(found: CertificateSummary, words: AngleTable) -> Table:
     """Return the table of a page."""
-    columns = (
-        "segment",
-        "error [deg]",
-        "90 % below [deg]",
-        "stated [deg]",
-        "movement alone [deg]",
-        "rate error [deg/s]",
-    )
+    columns = ("segment", "error [deg]", "90 % below [deg]", "stated [deg]", "movement [deg]", "rate error [deg/s]")
     rows = [
         (plain_words(s.segment, words), s.error_deg, s.below_90_deg, s.stated_deg, s.movement_deg, s.rate_error_deg_s)
         for s in found.sensors

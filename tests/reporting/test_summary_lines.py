@@ -238,6 +238,7 @@ def test_asymmetric_stance_of_gait_is_a_finding_only_if_it_is_gait() -> None:
             "LeftFoot: share of frames unseen 30 % (above 10 %) at 2.1 s: occluded",
             "left foot: share of frames unseen 30 % at 2.1 s: occluded",
         ),
+        ("no sensor measured Head, LeftArm (Neck)", "no sensor measured head, left upper arm (neck)"),
         ("It is at z = -0.41 m, by the body's size", "It is 0.41 m below height 0, by the body's size"),
         ("joints 30 %: interpolated, or from the prior", "joints 30 %: assumed, not measured"),
         (
