@@ -298,6 +298,26 @@ def test_where_no_reconstruction_succeeds_the_certificate_says_so(
     json.dumps(facts(found, BODY), allow_nan=False)
 
 
+def test_nothing_of_a_left_out_sensor_reaches_its_prediction(case: Case) -> None:
+    recording, found = case.recording.between(0.0, 0.8), []
+    imus = recording.imus
+    assert imus is not None
+    R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
+    R[:, 3], f[:, 3] = R[::-1, 3] @ so3.exp([1.0, -2.0, 0.5]), 30.0
+    for own in (imus, replace(imus, R_inertial_sensor=R, f_sensor=f)):
+        job = Job.of(replace(recording, imus=own), BODY, case.lifter(), SETTINGS).with_solver(None)
+        for sensor in (3, 2):
+            without = module._Without(job, "rtof", (), None, sensor=imus.names[sensor], joint=JOINTS[sensor])
+            found.append(without.predicted())
+    same, other, changed, moved = found
+    assert same is not None and changed is not None and other is not None and moved is not None  # noqa: PT018
+    np.testing.assert_array_equal(same.q, changed.q)
+    assert same.confidence is not None
+    assert changed.confidence is not None
+    np.testing.assert_array_equal(same.confidence.turn_covariance, changed.confidence.turn_covariance)
+    assert np.abs(other.q - moved.q).max() > 0.01  # the same sensor is used where another is left out
+
+
 def test_points_of_a_camera_in_the_hand_are_compared_without_its_drift(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
