@@ -17,6 +17,7 @@ from docs.pictures.studio import Studio
 PICTURES = (
     "placement",
     "report",
+    "certificate",
     "view",
     "overlay",
     "compare",
