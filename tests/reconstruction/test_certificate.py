@@ -127,6 +127,17 @@ def test_the_motion_is_the_same_with_and_without_a_certificate(case: Case, certi
     np.testing.assert_array_equal(without.motion.q, certified.motion.q)
 
 
+def test_a_second_camera_is_left_out_and_its_points_are_predicted(case: Case) -> None:
+    video, half_turn = case.recording.video, so3.about_axis("z", np.pi)
+    camera = replace(video.camera, R_camera_world=video.camera.R_camera_world @ half_turn)  # from the other side
+    uv = camera.project(case.truth.poses.p_world_joint)
+    with_two = case.changed(views=(replace(video, camera=camera, uv_px=uv),)).run(settings=SETTINGS).certificate
+    assert with_two is not None
+    (view,) = [one for one in with_two.points if one.what == "view 2"]
+    assert 0.0 < view.rms < 0.2
+    assert np.isfinite(view.error).all()
+
+
 def test_a_turned_sensor_is_seen_by_its_own_prediction_only(case: Case, certified: Reconstruction) -> None:
     calibration = case.recording.calibration
     assert calibration is not None
