@@ -28,6 +28,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
+from rtof_kin.reconstruction import self_calibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
@@ -183,7 +184,8 @@ def prepared(lifter: planted.PlantedLifter) -> Prepared:
     return Scene(job()).prepared(Case("", "white", "8"))
 
 
-def test_each_recording_is_lifted_once(lifter: planted.PlantedLifter) -> None:
+def test_each_recording_is_lifted_once(lifter: planted.PlantedLifter, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_calibration, "_SUSPECT", 0.0)  # sensors that explain little are lifted twice more
     scene = Scene(job())
     faults = NOMINAL, "left forearm's sensor missing", "10 % outliers of 80 px", "all bones 3 % too long"
     for asked, name in enumerate(faults, start=1):
