@@ -7,7 +7,6 @@ from typing import Final, Self
 
 import numpy as np
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.recording.recording import Recording
 
@@ -50,9 +49,6 @@ class CalibrationPriors:
     @classmethod
     def of(cls, recording: Recording) -> Self:
         """Return the usual priors of a recording; bones are estimated only where not measured."""
-        usual, height = SkeletonModel.named(recording.skeleton_table), recording.height
-        if height is not None:
-            usual = usual.with_height(height)
-        if recording.bone_lengths or not np.allclose(recording.joint_offsets, usual.joint_offsets):
+        if recording.bones_given:
             return cls()
-        return replace(cls(), sigma_size=0.05 if height is None else 0.02, sigma_proportion=0.03)
+        return replace(cls(), sigma_size=0.05 if recording.height is None else 0.02, sigma_proportion=0.03)

@@ -20,12 +20,13 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command, written
+from rtof_kin.cli.options import FetchModels, Fields, ModelDir, Seconds, command, written
 from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, line, out, print_calibration, remark, say
 from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.setup.settings import ReconstructionTask
 
 if TYPE_CHECKING:
     from rtof_kin.body.skeleton import SkeletonModel
@@ -66,7 +67,7 @@ def live(
         tuple[Literal["delay", "heading", "mounting"], ...], Parameter(show_default=lambda _: "delay")
     ] = ("delay",),
     calibration: Annotated[Path | None, Parameter(metavar="FILE")] = None,
-    task: Model,
+    task: Annotated[ReconstructionTask, Fields("model subject")],
     seconds: Seconds = None,
     speed: Annotated[float, Parameter(metavar="X")] = 1.0,
     detector: ModelDir,
@@ -118,6 +119,7 @@ def live(
     from rtof_kin.live.recorder import Recorder
     from rtof_kin.live.refinement import refinement_priors
     from rtof_kin.live.session import LiveSession
+    from rtof_kin.reconstruction.person import Person
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
 
@@ -130,6 +132,8 @@ def live(
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
                 take = replace(take, imus=None, calibration=None)
+            person = Person.of(task.person(), take)
+            take = person.informed(take).whole()
             streams = open_sources(
                 camera or [],
                 imus or [],
@@ -147,6 +151,8 @@ def live(
         landmarks = _points_of(streams.sources[0]) if camera else ()
         latency = _latency(streams.sources[0])
         settings = replace(settings, video_latency_s=latency, refined=refinement_priors(refine))
+        if person.doubt:
+            line("doubtful", person.doubt, "bold red")
         remark("preparing the estimator")
         estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
         _start(streams.sources)

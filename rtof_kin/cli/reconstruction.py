@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import CERTIFIED, Fields, Overwrite, Paper, Threads, command, written
+from rtof_kin.cli.options import CERTIFIED, PERSON, Fields, Overwrite, Paper, Threads, command, written
 from rtof_kin.cli.terminal import (
+    line,
     print_calibration,
     print_headline,
     print_scores,
@@ -57,7 +58,7 @@ def reconstruct(
     /,
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
-    task: Annotated[ReconstructionTask, Fields("mode model calibrate calibration figures")],
+    task: Annotated[ReconstructionTask, Fields(f"mode model calibrate calibration figures {PERSON}")],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,
@@ -91,21 +92,27 @@ def reconstruct(
     limit_threads(threads)
     settings = solver_settings(settings, paper, task.mode, calibrate_only)
     if calibrate_only:
+        if task.subject is not None:
+            raise InvalidInputError("--subject is for a reconstruction: leave out --calibrate-only, or --subject")
         _calibrate(recording, output or Path("calibration.toml"), calibrated, task, settings, overwrite)
         return
     if output is None:
         raise InvalidInputError("required: --output (rtof-kin reconstruct --help has all options)")
     if recording.suffix.lower() in TRIALS:
-        _reconstruct_markers(recording, output, markers, overwrite)
+        _reconstruct_markers(recording, output, markers, overwrite, task.subject if task.update_subject else None)
         return
     found = reconstruct_and_print(recording, output, task, settings, overwrite, verbose)
     if found.stage_metrics:
         print_scores((with_zero_motion(found.first.recording) if found.parts == 1 else {}) | found.stage_metrics)
 
 
-def _reconstruct_markers(trial: Path, output: Path, settings: MarkerSettings, overwrite: bool) -> None:
+def _reconstruct_markers(
+    trial: Path, output: Path, settings: MarkerSettings, overwrite: bool, subject: Path | None
+) -> None:
     from rtof_kin.body.motion_file import MOTION
+    from rtof_kin.core.files.manifest import fingerprint
     from rtof_kin.markers.trials import motion_of_markers
+    from rtof_kin.reconstruction.person import news_of_markers, update_subject
     from rtof_kin.reporting.audit_results import headline
     from rtof_kin.reporting.export import export_markers
 
@@ -116,6 +123,11 @@ def _reconstruct_markers(trial: Path, output: Path, settings: MarkerSettings, ov
     print_headline(headline(results))
     say(found.headline)
     say(f"wrote {output}")
+    if subject is not None:
+        bones, sigma = found.body.skeleton, found.body.sigma_offsets
+        news = news_of_markers(bones, sigma, f"markers {fingerprint(bones.joint_offsets.tolist())[:8]}")
+        for changed in update_subject(subject, news, bones.name):
+            line("subject", changed)
 
 
 def reconstruct_and_print(
@@ -131,8 +143,10 @@ def reconstruct_and_print(
     from rtof_kin.reporting.audit_results import headline
     from rtof_kin.setup.run import reconstruct_folder
 
+    learned = list[str]()
+    how: Any = {"task": task, "settings": settings, "learned": learned.append}
     with progress() as update, without_warnings():
-        found = reconstruct_folder(recording, output, overwrite, task=task, settings=settings, progress=update)
+        found = reconstruct_folder(recording, output, overwrite, **how, progress=update)
     verdict = headline(audit(found))
     print_summary(found, verdict, output)
     print_sections(verdict)
@@ -145,6 +159,8 @@ def reconstruct_and_print(
     elif calibration is not None:
         count = len(calibration.quantities)
         say(f"self-calibration: {count} quantities; --verbose prints them")
+    for change in learned:
+        line("subject", change)
     return found
 
 

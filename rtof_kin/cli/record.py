@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from rtof_kin.cli.options import (
     CERTIFIED,
+    PERSON,
     FetchModels,
     Fields,
     File,
@@ -64,7 +65,7 @@ def run(
     ],
     fetch_models: FetchModels = None,
     second: Annotated[SecondCamera, Fields("second second_person second_camera synchronised", group="Second camera")],
-    task: Annotated[ReconstructionTask, Fields("model calibration figures", group="Motion")],
+    task: Annotated[ReconstructionTask, Fields(f"model calibration figures {PERSON}", group="Motion")],
     calibrate: Annotated[bool | None, Parameter(group="Motion")] = None,
     analysis: Annotated[
         AnalysisSettings, Fields("sex repetitions from_standing", weight_kg="weight", group="Analysis")
@@ -105,7 +106,7 @@ def run(
         raise InvalidInputError("run: give the FILEs of a take and a folder to write, -o OUT; or --demo")
     if only == "files" or seconds is not None:
         raise InvalidInputError("run: --only files and --seconds are for --demo")
-    began = time.monotonic()
+    began, learned = time.monotonic(), list[str]()
 
     def kept(step: str) -> None:
         remark(f"{step}: its inputs are the same; kept")
@@ -117,13 +118,16 @@ def run(
             setup, name = replace(setup, lifter=task.lifter()), output.resolve().name
             found = make_recording(files, output, setup, name=name, made_with=task.model, **how)
         else:
-            done = run_steps(files, output, setup, settings, task=task, second=second, analysis=analysis, **how)
+            how |= {"task": task, "second": second, "analysis": analysis, "learned": learned.append}
+            done = run_steps(files, output, setup, settings, **how)
     if only:
         _print_findings(found)
         say(f"wrote {output}: correct recording.toml where it says so, then")
         say(f"  rtof-kin reconstruct {output} -o OUT")
     else:
         _print_run(done, time.monotonic() - began)
+        for change in learned:
+            line("subject", change)
 
 
 def _demo(

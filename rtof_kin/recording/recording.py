@@ -66,6 +66,10 @@ class RecordingSource(ABC):
     def whole(self) -> Recording:
         """Return all of it in memory."""
 
+    @abstractmethod
+    def with_facts(self, **facts: Any) -> Self:
+        """Return it with other values of fields of `facts`."""
+
     @property
     def frame_times(self) -> Array | None:
         """(T,) s of the frames of the first camera; None without one."""
@@ -273,6 +277,16 @@ class Recording(RecordingSource):
         """Return the recording itself."""
         return self
 
+    def with_facts(self, **facts: Any) -> Self:
+        """Return it with other values of some fields."""
+        return replace(self, **facts)
+
+    @property
+    def bones_given(self) -> bool:
+        """Whether bones were measured: the offsets are not those of the table, scaled to the height."""
+        usual = body_of(self.skeleton_table, height=self.height).joint_offsets
+        return bool(self.bone_lengths) or not np.allclose(self.joint_offsets, usual)
+
     # --- files -----------------------------------------------------------------------------------
 
     @classmethod
@@ -405,3 +419,7 @@ class RecordingReader(RecordingSource):
     def whole(self) -> Recording:
         """Return all of it, as `Recording.load` does."""
         return replace(self._first, **self._streams.parts(lambda stream: stream.part(ALL)), is_part=False)
+
+    def with_facts(self, **facts: Any) -> Self:
+        """Return it with other values of some fields; the files belong to both, and close with either."""
+        return type(self)(replace(self._first, **facts), self._streams, self._closing)

@@ -22,6 +22,7 @@ from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, re
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
+from rtof_kin.reconstruction.person import Person, update_subject
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
@@ -69,6 +70,7 @@ def run(
     detect: Detect | None = None,
     overwrite: bool = False,
     kept: Callable[[str], None] | None = None,
+    learned: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Go from a video (or keypoints) and sensors to a report, in one folder.
@@ -89,6 +91,7 @@ def run(
             calibrated from its own motion.
         detect: detects the people in a video; default: the detector of `setup`.
         overwrite: replace results of other files. kept: called with the name of each step that is kept.
+        learned: called with each change of the person's file, and what was refused.
 
     Raises:
         InvalidInputError: no height. OutputExistsError: see `make_recording`. Errors of the steps.
@@ -100,6 +103,9 @@ def run(
     settings, analysis = settings or ReconstructionSettings(certificate=True), analysis or AnalysisSettings()
     setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
     setup = setup if height is None else replace(setup, height=height)
+    person = task.person()
+    if setup.height is None and person is not None and person.height_m is not None:
+        setup = replace(setup, height=person.height_m.value)
     if setup.height is None:
         raise InvalidInputError(
             "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
@@ -131,8 +137,8 @@ def run(
     recording = Recording.load(own)
     task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
     del recording  # a long one is read in parts
-    solved = partial(reconstruct_folder, own, task=task, settings=settings, progress=progress)
-    step(MOTION, solved, own, str(task), str(settings))
+    solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
+    step(MOTION, solved, own, str(task), str(settings), *([] if person is None else [str(person.known)]))
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),
@@ -153,45 +159,54 @@ def reconstruct_folder(
     *,
     task: ReconstructionTask,
     settings: ReconstructionSettings,
+    learned: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> ReconstructionStatistics:
     """Reconstruct the recording of a folder, a long one in parts, and export the motion.
 
     `output`: folder to write; one that may not be replaced is refused before the work. `inputs`: fingerprints for its
-    manifest.
+    manifest. `learned`: called with each change of the person's file, and what was refused.
     """
     check_replaceable(output, MARKER, overwrite)
     with ExitStack() as stack:
         source: Recording | RecordingReader = (
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
-        mode, known = task.mode or source.usual_mode, task.calibration
+        mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
+        person = Person.of(task.person(), source)
+        informed = person.informed(source)
         record = {
             "options": {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
             | {
                 name: getattr(settings, name)
                 for name in ("frames", "space", "guards", "lift_with_sensors", "certificate")
             },
-            "recording_sha256": source.digest(),
+            "recording_sha256": digest,
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
+            "subject_sha256": None if task.subject is None else file_digest(task.subject),
         }
         how: Any = {
             "mode": mode,
             "lifter": task.lifter(),
             "settings": settings,
             "calibrate": task.calibrate,
-            "known": None if known is None else read_self_calibration_toml(known),
+            "known": person.calibration if known is None else read_self_calibration_toml(known),
             "progress": progress,
         }
-        return export(
-            reconstruct_in_parts(source, **how),
+        body, label = informed.facts.skeleton, f"recording {digest[:8]}"
+        found = export(
+            person.learning(reconstruct_in_parts(informed, **how), source.facts, body, label),
             output,
             overwrite,
             task.figures,
             inputs=inputs,
             run=lambda: record | {"environment": environment()},
         )
+    if task.update_subject and task.subject is not None:
+        for sentence in update_subject(task.subject, person.news, body.name, person.doubt):
+            (learned or (lambda _: None))(sentence)
+    return found
 
 
 def _write_page(folder: Path, analysis: AnalysisSettings, kept: Callable[[str], None]) -> None:

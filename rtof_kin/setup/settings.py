@@ -11,6 +11,7 @@ from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.lift import LifterLike
+    from rtof_kin.recording.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,25 @@ class ReconstructionTask:
     calibration: Path | None = None
     """Calibration of another recording of the same person: bones, ankles and landmark offsets are taken from it; with
     calibrate delay, mounting and biases are estimated for this one."""
+    subject: Path | None = None
+    """The person's file: height, mass, bones and posture where the recording does not give them (docs/subject.md)."""
+    update_subject: bool = False
+    """Merge what the recording says of the person into the file of --subject, which is made if there is none."""
     figures: bool = True  #: Draw figures, where matplotlib is installed
+
+    def __post_init__(self) -> None:
+        if self.update_subject and self.subject is None:
+            raise InvalidInputError("--update-subject needs the person's file; add --subject FILE")
+        if self.subject is not None and self.calibration is not None:
+            raise InvalidInputError("--subject and --calibration both say what the bones are; give only one of the two")
+
+    def person(self) -> Subject | None:
+        """Read the person's file; None without one, or where it is yet to be made."""
+        if self.subject is None or (self.update_subject and not self.subject.exists()):
+            return None
+        from rtof_kin.recording.subject import read_subject
+
+        return read_subject(self.subject)
 
     def lifter(self) -> LifterLike | None:
         """Load the model that is named; None for the shipped one."""

@@ -13,7 +13,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin.body.kinematics import world_rotations
 from rtof_kin.body.metrics import hinges
-from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.core import rotations as so3
@@ -63,7 +62,7 @@ def seen(skeleton: SkeletonModel, frames: int) -> Motion:
 
 def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> Motion:
     """A motion drawn from the pose prior, within hinges and limits; `size` in standard deviations."""
-    prior = shipped_prior(skeleton.names)
+    prior = skeleton.table.prior
     root = np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(len(prior.covariance)))
     rotvec = size * smooth_noise(seed, (frames, len(root)), 20, 1.0) @ root.T
     local = so3.from_quat_wxyz(prior.mean_quat_wxyz) @ so3.exp(rotvec.reshape(frames, -1, 3))

@@ -1,0 +1,141 @@
+"""What a recording says of its person, merged into the person's file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from filelock import FileLock
+
+from rtof_kin.body.pose_prior import has_prior, posture_from_t_pose, t_pose_frames
+from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.calibration.result import Quantity, SelfCalibration, bone_groups
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.recording.recording import Recording, RecordingSource
+from rtof_kin.recording.subject import (
+    Estimate,
+    Subject,
+    contradictions,
+    given_by,
+    merged,
+    read_subject,
+    sd_of,
+    write_subject,
+)
+from rtof_kin.solve.settings import JointSpaceSettings
+
+_SHOWN: Final = 0.7
+"""Largest standard deviation of a joint in the T-pose, relative to the prior's, with which the recording shows it."""
+_REPEATED: Final = 3.0  #: [deg] by which a person's T-poses differ
+_ANKLE, _LOWEST = JointSpaceSettings().ankle_height, 0.02  #: [m] Usual and lowest height of ankles
+_News = Mapping[str, tuple[Array | float, float]]  # Value and standard deviation by field
+
+
+@dataclass
+class Person:
+    """What a person's file says of a recording, and the recording of the person."""
+
+    subject: Subject | None = None  #: What was known before; None where nothing was
+    doubt: str = ""  #: Why the file may be of another person than the recording
+    news: dict[str, Estimate[Any]] = field(default_factory=dict)  #: What the recording says, by field
+
+    @classmethod
+    def of(cls, subject: Subject | None, source: RecordingSource) -> Person:
+        """Compare a recording with its person's file, which is not used where they contradict each other."""
+        doubt = "" if subject is None else contradictions(subject, source.facts)
+        return cls(None if doubt else subject, doubt)
+
+    def informed(self, source: RecordingSource) -> RecordingSource:
+        """Return the recording with what is known of its person where it is silent."""
+        return source if self.subject is None else source.with_facts(**self.subject.informed(source.facts))
+
+    @property
+    def calibration(self) -> SelfCalibration | None:
+        """Height of the ankles, where it is known, as if another recording had been calibrated."""
+        if self.subject is None or (ankle := self.subject.ankle_height_m) is None:
+            return None
+        value, sigma = np.array([ankle.value - _ANKLE]), np.array([sd_of("ankle_height_m", ankle)])
+        return SelfCalibration((Quantity("ankle height", "feet", value, sigma, sigma, 1.0),))
+
+    def learning(
+        self, parts: Iterable[Reconstruction], given: Recording, body: SkeletonModel, source: str
+    ) -> Iterator[Reconstruction]:
+        """Yield the parts of a reconstruction, with the doubt in the first, from which `news` are taken.
+
+        `given`: facts of the recording as it is. `body`: with which it was reconstructed. `source`: of the news.
+        """
+        for number, part in enumerate(parts):
+            if number == 0:
+                found = _from_t_pose(part.motion) | _from_calibration(part.calibration, body, not given.bones_given)
+                self.news = _estimates(found, source, given.session.date) | given_by(given, source)
+            yield replace(part, warnings=(self.doubt, *part.warnings)) if self.doubt and number == 0 else part
+
+
+def update_subject(path: Path, news: Mapping[str, Estimate[Any]], skeleton: str, doubt: str = "") -> tuple[str, ...]:
+    """Merge news into a person's file, which is made if there is none, and return what happened, for display.
+
+    `news`: of joints of the table `skeleton`, which are left out where the file has another. `doubt`: why all are
+    refused. Errors as `read_subject` and `write_subject`.
+    """
+    with FileLock(path.with_name(f".{path.name}.lock")):  # recordings of a batch wait for each other
+        new = {"subject": path.stem, "skeleton": skeleton}
+        subject = read_subject(path) if path.exists() else Subject.of(new, path)
+        same = subject.skeleton == skeleton
+        subject, said = merged(subject, {k: v for k, v in news.items() if same or "." not in k}, doubt)
+        write_subject(path, subject, overwrite=True)
+    return tuple(f"{subject.subject}: {one}" for one in said or ("nothing new in this recording",))
+
+
+def news_of_markers(body: SkeletonModel, sigma: Array, source: str) -> dict[str, Estimate[Any]]:
+    """Return the bones of a body that was fitted to markers; sigma: (J, 3) m, of the offsets."""
+    sds = np.maximum(np.sqrt(np.mean(sigma**2, axis=1)), 1e-4).tolist()
+    rows = [*zip(body.names, body.joint_offsets, sds, strict=True)][1:]
+    return _estimates({f"joint_offsets_m.{joint}": (offset, sd) for joint, offset, sd in rows}, source)
+
+
+def _estimates(news: _News, source: str, date: str = "") -> dict[str, Estimate[Any]]:
+    return {path: Estimate[Any](value=value, sd=sd, source=source, date=date) for path, (value, sd) in news.items()}
+
+
+def _from_calibration(found: SelfCalibration | None, body: SkeletonModel, bones: bool) -> dict[str, Any]:
+    """Return bones and ankles, m, that a self-calibration observed, as the recording alone shows them: without the
+    information of their prior, whose mean is zero.
+    """
+    news = dict[str, Any]()
+    for q in () if found is None else found.quantities:
+        precision = float(q.sigma[0] ** -2 - q.sigma_prior[0] ** -2)
+        if not q.observed or precision <= 0 or q.kind not in ("bones", "ankle height"):
+            continue
+        value, sd = float(q.value[0] / q.sigma[0] ** 2) / precision, precision**-0.5
+        if q.kind == "ankle height" and value + _ANKLE > _LOWEST:
+            news["ankle_height_m"] = value + _ANKLE, sd
+        for _, joints in bone_groups(body, (q.item,)) if q.kind == "bones" and bones else ():
+            for j in joints:
+                offset = body.joint_offsets[j]
+                news[f"joint_offsets_m.{body.names[j]}"] = offset * (1 + value), sd * float(np.linalg.norm(offset))
+    return news
+
+
+def _from_t_pose(motion: Motion) -> dict[str, Any]:
+    """Return the posture, deg, in the first T-pose of a motion, of joints that it shows better than the prior; nothing
+    without a T-pose or covariances.
+    """
+    skeleton, confidence = motion.skeleton, motion.confidence
+    if confidence is None or not has_prior(skeleton.name):
+        return {}
+    if (posture := posture_from_t_pose(motion.poses, skeleton.parents)) is None:
+        return {}
+    news, still = dict[str, Any](), t_pose_frames(motion.poses)
+    usual = np.sqrt(np.diag(skeleton.table.prior.covariance).reshape(-1, 3).mean(axis=1))
+    for joint, turn in zip(posture.joints, np.degrees(so3.log(posture.R_parent_bone)), strict=True):
+        j = skeleton.names.index(joint)
+        own = confidence.turn(skeleton.names[skeleton.parents[j]], joint)[still]
+        sigma = float(np.sqrt(np.trace(own, axis1=1, axis2=2).mean() / 3))
+        if sigma < _SHOWN * usual[j - 1]:  # NaN where unobserved
+            news[f"posture_deg.{joint}"] = turn, float(np.hypot(np.degrees(sigma), _REPEATED))
+    return news
