@@ -238,3 +238,15 @@ def test_a_reader_gets_the_same(tmp_path: Path, recording: Recording) -> None:
         found = reader.with_facts(**subject.informed(reader.facts))
         wanted = recording.with_facts(**subject.informed(recording))
         assert found.whole().digest() == found.digest() == wanted.digest() != recording.digest()
+
+
+def test_the_example_of_the_page_is_a_file_with_every_field(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/subject.md").read_text(encoding="utf-8")
+    subject = by_hand(tmp_path, page.partition("```toml\n")[2].partition("```")[0])
+    assert subject.model_fields_set == set(Subject.model_fields)
+    first, second = subject.history["joint_offsets_m.LeftLeg"]
+    found, _ = merged(merged(NOBODY, {"joint_offsets_m.LeftLeg": first})[0], {"joint_offsets_m.LeftLeg": second})
+    np.testing.assert_allclose(
+        found.joint_offsets_m["LeftLeg"].value, subject.joint_offsets_m["LeftLeg"].value, atol=5e-4
+    )
+    assert found.joint_offsets_m["LeftLeg"].sd == pytest.approx(subject.joint_offsets_m["LeftLeg"].sd, abs=5e-5)

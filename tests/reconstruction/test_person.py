@@ -1,0 +1,163 @@
+"""A person's file in reconstructions: better with it, named where it is another's, and what a recording adds to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+
+from rtof_kin.body.kinematics import world_rotations
+from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
+from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.calibration.result import Quantity, SelfCalibration
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.confidence import Confidence
+from rtof_kin.reconstruction.person import Person, news_of_markers, update_subject
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.subject import Estimate, Subject, merged, read_subject
+
+USUAL = SkeletonModel.default()
+POSTURE = {
+    "Spine": (0.0, 10.0, 0.0),
+    "Spine2": (0.0, -8.0, 0.0),
+    "LeftShoulder": (6.0, 0.0, 0.0),
+    "RightShoulder": (-6.0, 0.0, 0.0),
+    "LeftUpLeg": (0.0, -12.0, 0.0),
+    "RightUpLeg": (0.0, -12.0, 0.0),
+}
+
+
+def person(seed: int) -> SkeletonModel:
+    """Bones of usual length with a standard deviation of 5 %, and a neutral posture."""
+    sizes = 1 + 0.05 * np.random.default_rng(seed).normal(size=len(USUAL.names))
+    body = USUAL.with_offsets(USUAL.joint_offsets * sizes[:, None])
+    turns = so3.exp(np.radians([*POSTURE.values()]))
+    return body.with_posture(NeutralPosture(tuple(POSTURE), so3.to_quat_wxyz(turns)))
+
+
+def file_of(body: SkeletonModel, seed: int = 0) -> Subject:
+    """A file with the bones and the posture of a body, with errors of the stated standard deviations."""
+    rng, news = np.random.default_rng(seed), dict[str, Estimate[Any]]()
+    for joint, offset in zip(body.names[1:], body.joint_offsets[1:], strict=True):
+        news[f"joint_offsets_m.{joint}"] = Estimate[Any](value=offset + rng.normal(0, 0.003, 3), sd=0.003)
+    for joint, turn in POSTURE.items():
+        news[f"posture_deg.{joint}"] = Estimate[Any](value=turn + rng.normal(0, 2.0, 3), sd=2.0)
+    return merged(Subject.of({"subject": "P07"}, Path("P07.toml")), news)[0]
+
+
+def solved(subject: Subject | None, recording: Recording, truth: Motion, mode: Any) -> tuple[float, Person, Any]:
+    """Error relative to the root, mm, what was learned, and the result."""
+    who = Person.of(subject, recording)
+    informed = who.informed(recording).whole()
+    found = reconstruct(informed, mode=mode, lifter=planted.PlantedLifter(truth))
+    (found,) = who.learning([found], recording, informed.skeleton, "recording 1")
+    return planted.root_relative_mm(found.motion.poses.p_world_joint, truth.poses.p_world_joint), who, found
+
+
+@pytest.mark.parametrize("mode", ["rto", "rtof"])
+def test_a_silent_recording_is_better_with_the_file_of_its_person(mode: str) -> None:
+    without, with_file = [], []
+    for seed in (0, 1):
+        body = person(seed)
+        truth = planted.human(body, 40, seed=seed)
+        recording = replace(planted.recording(truth, sigma_px=2.0), joint_offsets=None)
+        without.append(solved(None, recording, truth, mode)[0])
+        with_file.append(solved(file_of(body), recording, truth, mode)[0])
+    assert np.mean(with_file) < 0.65 * np.mean(without)
+
+
+def test_the_file_of_another_person_is_named_and_changes_nothing() -> None:
+    truth = planted.human(USUAL, 24)
+    recording = replace(planted.recording(truth, sigma_px=2.0), joint_offsets=None, height=USUAL.height)
+    other, _ = merged(file_of(person(3)), {"height_m": Estimate[Any](value=USUAL.height + 0.1, sd=0.01)})
+    error, who, found = solved(other, recording, truth, "lift")
+    assert found.warnings[0].startswith("P07.toml is likely of another person and is not used: height_m ")
+    assert error == solved(None, recording, truth, "lift")[0]
+    assert [*who.news] == ["height_m"]
+
+
+def quantity(kind: str, item: str, value: float, sigma: float, prior: float) -> Quantity:
+    known = 1 - (sigma / prior) ** 2
+    return Quantity(kind, item, np.array([value]), np.array([sigma]), np.array([prior]), known)
+
+
+def news(recording: Recording, found: Any) -> Mapping[str, Estimate[Any]]:
+    who = Person()
+    assert [*who.learning([found], recording, recording.skeleton, "recording 1")] == [found]
+    return who.news
+
+
+def test_bones_and_ankles_of_a_calibration_count_without_their_prior() -> None:
+    truth = planted.human(USUAL, 12)
+    recording = planted.recording(truth)
+    result = reconstruct(recording, mode="lift", lifter=planted.PlantedLifter(truth))
+    calibration = SelfCalibration(
+        (
+            quantity("bones", "thighs", 0.04, 0.01, 0.03),
+            quantity("bones", "head", 0.01, 0.0299, 0.03),  # taken from the prior
+            quantity("ankle height", "feet", 0.015, 0.005, 0.02),
+        )
+    )
+    found = news(recording, replace(result, calibration=calibration))
+    assert set(found) == {"joint_offsets_m.LeftLeg", "joint_offsets_m.RightLeg", "ankle_height_m"}
+    thigh, length = found["joint_offsets_m.LeftLeg"], USUAL.bone_lengths["LeftLeg"]
+    assert thigh.sd is not None
+    w_prior, w_own = 0.03**-2, (thigh.sd / length) ** -2  # prior and recording make what the calibration found
+    scale = np.linalg.norm(thigh.value) / length - 1
+    assert w_own * scale / (w_prior + w_own) == pytest.approx(0.04)
+    assert (w_prior + w_own) ** -0.5 == pytest.approx(0.01)
+    assert found["ankle_height_m"].value == pytest.approx(0.08 + 0.015 / (1 - 1 / 16))
+    measured = replace(recording, joint_offsets=person(1).joint_offsets)
+    assert np.array_equal(
+        news(measured, replace(result, calibration=calibration))["joint_offsets_m.LeftLeg"].value,
+        measured.joint_offsets[USUAL.index("LeftLeg")[0]],
+    )  # what was measured stands
+
+
+def test_the_ankle_height_of_the_file_is_used() -> None:
+    subject, _ = merged(file_of(USUAL), {"ankle_height_m": Estimate[Any](value=0.095, sd=0.004)})
+    calibration = Person(subject).calibration
+    assert calibration is not None
+    assert calibration.ankle_height == pytest.approx(0.015)
+    assert Person(file_of(USUAL)).calibration is Person().calibration is None
+
+
+def test_a_t_pose_shows_the_joints_that_are_known_better_than_by_the_prior() -> None:
+    R = np.tile(np.eye(3), (21, 1, 1))
+    R[USUAL.index(*POSTURE)] = so3.exp(np.radians([*POSTURE.values()]))
+    q = USUAL.inverse_kinematics(np.full((1, 21, 3), (0.0, 0.0, 0.95)), world_rotations(USUAL.parents, R[None]))
+    still = planted._motion(USUAL, np.repeat(q, 40, axis=0), seen=True)
+    pairs = tuple((USUAL.names[USUAL.parents[j]], USUAL.names[j]) for j in USUAL.index(*JOINTS))
+    sigmas = np.radians([4.0 if child.endswith("UpLeg") else 12.0 for _, child in pairs])
+    turns = np.broadcast_to(sigmas[:, None, None] ** 2 * np.eye(3), (40, len(pairs), 3, 3))
+    zeros = np.zeros((40, 21, 3, 3))
+    motion = replace(still, confidence=Confidence(still.times, USUAL.names, zeros, zeros, pairs, turns))
+    recording = planted.recording(still)
+    result = reconstruct(recording, mode="lift", lifter=planted.PlantedLifter(still))
+    found = news(recording, replace(result, motion=motion))
+    assert set(found) == {"posture_deg.LeftUpLeg", "posture_deg.RightUpLeg"}
+    np.testing.assert_allclose(found["posture_deg.LeftUpLeg"].value, POSTURE["LeftUpLeg"], atol=0.1)
+    assert found["posture_deg.LeftUpLeg"].sd == pytest.approx(np.hypot(4.0, 3.0), rel=1e-3)
+    assert news(recording, replace(result, motion=still)) == {}  # without covariances
+
+
+def test_a_file_is_made_and_gets_better(tmp_path: Path) -> None:
+    path, body = tmp_path / "P07.toml", person(1)
+    sigma = np.full((21, 3), 0.004)
+    said = update_subject(path, news_of_markers(body, sigma, "markers 1"), body.name)
+    assert len(said) == 20
+    assert said[0].startswith("P07: joint_offsets_m.Spine: ")
+    assert update_subject(path, news_of_markers(body, sigma, "markers 1"), body.name) == (
+        "P07: nothing new in this recording",
+    )
+    update_subject(path, news_of_markers(body, sigma, "markers 2"), body.name)
+    leg = read_subject(path).joint_offsets_m["LeftLeg"]
+    assert leg.sd == pytest.approx(0.004 / 2**0.5, rel=1e-4)
+    other = {"height_m": Estimate[Any](value=1.7), "joint_offsets_m.LKnee": Estimate[Any](value=np.ones(3))}
+    assert update_subject(path, other, "human36m") == ("P07: height_m: 1.7 ± 0.01",)
