@@ -48,7 +48,11 @@ class CalibrationPriors:
 
     @classmethod
     def of(cls, recording: Recording) -> Self:
-        """Return the usual priors of a recording; bones are estimated only where not measured."""
+        """Return the usual priors of a recording; bones are estimated only where not measured, and
+        those of the person's file within its standard deviations.
+        """
+        if (sigma := recording.sigma_bones) is not None:  # of size and proportion together
+            return replace(cls(), sigma_size=sigma / 2**0.5, sigma_proportion=sigma / 2**0.5)
         if recording.bones_given:
             return cls()
         return replace(cls(), sigma_size=0.05 if recording.height is None else 0.02, sigma_proportion=0.03)

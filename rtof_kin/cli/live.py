@@ -132,8 +132,8 @@ def live(
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
                 take = replace(take, imus=None, calibration=None)
-            person = Person.of(task.person(), take)
-            take = person.informed(take).whole()
+            given, person = take, Person.of(task.person(), take)
+            take = person.informed(given).whole()
             streams = open_sources(
                 camera or [],
                 imus or [],
@@ -162,7 +162,7 @@ def live(
             streams.sources,
             estimator,
             sinks=(*sinks, display),
-            recorder=None if output is None else Recorder(output, take, video_delay_s=settings.video_delay_s),
+            recorder=None if output is None else Recorder(output, given, video_delay_s=settings.video_delay_s),
             video_delay_s=settings.video_delay_s,
             in_background=streams.in_real_time,
         )

@@ -118,7 +118,7 @@ def _prior_body(job: Job, known: SelfCalibration | None) -> Job:
     recording = job.recording
     if job.skeleton is not None:
         offsets = job.skeleton.joint_offsets
-        recording = replace(recording, joint_offsets=offsets, height=None, bone_lengths=None)
+        recording = replace(recording, joint_offsets=offsets, height=None, bone_lengths=None, sigma_bones=None)
     recording = recording if known is None else known.apply(recording)
     return replace(job, recording=recording, skeleton=None).with_solver(known)
 

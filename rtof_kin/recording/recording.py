@@ -157,6 +157,9 @@ class Recording(RecordingSource):
     """The person's T-pose in the skeleton's link frames, where a reference shows it."""
     model_prior: PosePrior | None = None
     """Pose prior of the model in use, which is no part of the folder; None for the shipped one."""
+    sigma_bones: float | None = None
+    """Standard deviation of bones of the person's file, relative to their length, which is no part of the folder; None
+    where they are those of the folder."""
     truth: PoseSequence | None = None  #: Known poses in world at their own times, joints in the skeleton's order
     first_frame: int = 0  #: Index of the first video frame in the take that this was cut from; a label only
     acknowledgement: str = ""  #: Text that the data's owner asks to be printed with the results

@@ -34,6 +34,7 @@ USUAL_SD: Final = {
     "image_points_m": 0.01,
 }
 """Standard deviation of a value without one, per axis, in its unit: of a person who measured it, clothes included."""
+_UNKNOWN: Final = 0.036  #: Standard deviation of bones by the height, relative to their length
 _Value = TypeVar("_Value")
 Identifier = Annotated[
     str,
@@ -117,8 +118,13 @@ class Subject(InputTable):
             return facts
         if not recording.bones_given and ("height" in facts or self.joint_offsets_m):
             body = body_of(self.skeleton, height=facts.get("height", recording.height))
-            bones = {joint: one.value for joint, one in self.joint_offsets_m.items()}
-            facts["joint_offsets"] = body.with_offsets(bones).joint_offsets
+            body = body.with_offsets({joint: one.value for joint, one in self.joint_offsets_m.items()})
+            facts["joint_offsets"] = body.joint_offsets
+        if "joint_offsets" in facts and self.joint_offsets_m:
+            own = {joint: sd_of("joint_offsets_m", one) for joint, one in self.joint_offsets_m.items()}
+            rows = [(own.get(joint, _UNKNOWN * length), length) for joint, length in body.bone_lengths.items()]
+            sd, length = np.sqrt(np.mean(np.square(rows), axis=0))
+            facts["sigma_bones"] = min(float(sd / length), _UNKNOWN)
         if recording.posture is None and self.posture_deg:
             turns = np.radians([one.value for one in self.posture_deg.values()])
             facts["posture"] = NeutralPosture(tuple(self.posture_deg), so3.to_quat_wxyz(so3.exp(turns)))

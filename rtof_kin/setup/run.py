@@ -138,7 +138,8 @@ def run(
     task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
     del recording  # a long one is read in parts
     solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
-    step(MOTION, solved, own, str(task), str(settings), *([] if person is None else [str(person.known)]))
+    known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
+    step(MOTION, solved, own, str(task), str(settings), str(known))
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),

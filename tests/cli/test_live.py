@@ -110,6 +110,17 @@ def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
     np.testing.assert_array_equal(written.quantities[0].value, delay.value)
 
 
+def test_the_persons_file_is_used_and_not_recorded(cli: Cli, estimator: dict[str, Any], tmp_path: Path) -> None:
+    file, options = tmp_path / "P07.toml", ("--seconds", 1, "--speed", "inf", "--subject", tmp_path / "P07.toml")
+    file.write_text('subject = "P07"\nheight_m = { value = 1.74 }\nposture_deg = { Spine = { value = [0, 10, 0] } }\n')
+    cli.ok("live", DEMO, "--camera", DEMO, *options, "-o", tmp_path / "take")
+    assert (estimator["setup"].height, estimator["setup"].posture.joints) == (1.74, ("Spine",))
+    take = Recording.load(tmp_path / "take")
+    assert take.height is take.posture is None
+    file.write_text('subject = "P07"\njoint_offsets_m = { LeftLeg = { value = [0, 0, -0.6] } }\n')
+    cli.ok("live", DEMO, "--camera", DEMO, *options).says("doubtful P07.toml is likely of another person")
+
+
 def test_a_video_is_examined_by_the_detector_of_the_options(
     cli: Cli, estimator: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError
 from rtof_kin.recording.recording import Recording, RecordingReader
@@ -213,7 +214,25 @@ def test_what_a_recording_gives_is_not_replaced(tmp_path: Path, recording: Recor
         "sex",
         "joint_offsets",
         "posture",
+        "sigma_bones",
     }
+
+
+def test_bones_of_the_file_are_estimated_again_within_their_standard_deviations(recording: Recording) -> None:
+    def sigma(count: int, sd: float) -> float:
+        joints = SKELETON.names[1 : 1 + count]
+        news = {f"joint_offsets_m.{n}": of(SKELETON.joint_offsets[SKELETON.index(n)[0]].tolist(), sd) for n in joints}
+        subject, _ = merged(NOBODY, news)
+        priors = CalibrationPriors.of(recording.with_facts(**subject.informed(recording)))
+        assert priors.sigma_size is not None
+        assert priors.sigma_size == priors.sigma_proportion
+        return float(np.hypot(priors.sigma_size, priors.sigma_size))
+
+    length = np.sqrt(np.mean(np.square([*SKELETON.bone_lengths.values()])))
+    assert sigma(20, 0.002) == pytest.approx(0.002 / length)
+    assert sigma(20, 0.2) == sigma(1, 0.2) == 0.036
+    assert 0.002 / length < sigma(10, 0.002) < 0.036  # the others are as unknown as by the height
+    assert CalibrationPriors.of(recording).sigma_size == 0.05
 
 
 def test_a_recording_of_another_person_is_named(tmp_path: Path, recording: Recording) -> None:
