@@ -214,7 +214,8 @@ def test_a_session_over_lsl_estimates_and_records_what_is_sent(tmp_path: Path) -
     points = [f"{name}_{what}" for name in video.names for what in ("x", "y", "confidence")]
     senders["video"] = Sender(unique("points"), points)
     names = {who: sender._outlet.get_info().name() for who, sender in senders.items()}
-    sources = [LslFrameSource(names["video"]), *(LslImuSource(names[name]) for name in imus.names)]
+    # Nine streams at once answer late on a busy machine.
+    sources = [LslFrameSource(names["video"], 60.0), *(LslImuSource(names[name], 60.0) for name in imus.names)]
     starts = [threading.Thread(target=source.start) for source in sources]
     for thread in starts:
         thread.start()
