@@ -374,7 +374,8 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
     moves = bool(np.nanmean(sensed.w_world**2) >= _MOVING**2)
-    contradict = moves and found.explained < _SUSPECT and _contradicts_image(jobs[0])
+    suspect = moves and found.explained < _SUSPECT and _as_declared(jobs[0])
+    contradict = suspect and _contradicts_image(jobs[0])
     check = _check_belonging(jobs[0], seen, sensed, columns, found, contradict)
     middle = float(found.middle + found.offset)
     rates = [found.drift] if found.drift else []
@@ -456,8 +457,7 @@ def _check_belonging(
     cause = "the sensors do not belong to this video"
     advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
     if explained < least:
-        form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
-        if not contradict or any(check.failed for check in form):
+        if not contradict:
             why = "the sensors or what the image shows of them hardly move, or they or the camera are not as declared"
             return Check.unknown(NAME, "sensors", "", why)
         carriers = {joint for joint, _ in job.subject.sensors.values()}
@@ -482,6 +482,12 @@ def _check_belonging(
         "sensors, start_s and which sensor is where",
         cause=cause,
     )
+
+
+def _as_declared(job: Job) -> bool:
+    """Return whether no check of the sensors' form, or of the camera alone, fails: such an error would explain more."""
+    form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
+    return not any(check.failed for check in form)
 
 
 def _contradicts_image(job: Job) -> bool:
