@@ -233,6 +233,7 @@ def test_a_session_over_lsl_estimates_and_records_what_is_sent(tmp_path: Path) -
             else:
                 quat = so3.to_quat_wxyz(sample.R_inertial_sensor)
                 senders[sample.sensor].send([*quat, *sample.f_sensor], begun + sample.time)
+        time.sleep(3.0)  # until the last samples have come
 
     sender = threading.Thread(target=send)
     session = LiveSession(demo(), sources, FakeEstimator(), recorder=Recorder(tmp_path / "take", demo()))

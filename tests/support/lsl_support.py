@@ -17,7 +17,7 @@ pylsl.util.set_config_content(
     "[tuning]\nTimeProbeInterval = 0.01\nTimeProbeMaxRTT = 0.05\n"
 )
 _NUMBERS = count()
-DEADLINE_S = 8.0
+DEADLINE_S = 60.0
 
 
 def unique(name: str) -> str:
