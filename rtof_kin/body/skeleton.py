@@ -160,6 +160,11 @@ class SkeletonModel:
         """Lower and upper limits (D, 2) of the revolutes, rad."""
         return np.stack([self.model.lowerPositionLimit[7:], self.model.upperPositionLimit[7:]], -1)
 
+    def bone_axis(self, joint: str) -> Array:
+        """Return the unit direction (3,) of a segment's bone in its frame; 0 for several bones or none."""
+        children = kinematics.children_of(self.parents, self.names.index(joint))
+        return np.asarray(so3.unit(self.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3))
+
     @cached_property
     def bone_lengths(self) -> dict[str, float]:
         """Distance of each joint from its parent, m, by child joint."""

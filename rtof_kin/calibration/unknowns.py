@@ -33,7 +33,7 @@ from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationR
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
-from rtof_kin.solve.joint_space.observations import Attached, bone_axis
+from rtof_kin.solve.joint_space.observations import Attached
 
 
 class Unknown(ABC):
@@ -331,5 +331,5 @@ def open_sensors(priors: CalibrationPriors, skeleton: SkeletonModel, sensors: tu
     if priors.sigma_heading is not None:
         yield Heading(sensors, priors.sigma_heading)
     if priors.sigma_swing is not None:
-        axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
+        axes = np.array([skeleton.bone_axis(joint) for joint in sensors])
         yield Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist)

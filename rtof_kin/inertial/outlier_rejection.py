@@ -14,7 +14,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import binary_dilation
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -124,10 +123,8 @@ def find_disagreements(
             continue
         j = skeleton.names.index(joint)
         off = so3.log(np.swapaxes(poses.R_world_bone[known, j], -1, -2) @ bone_imus.R_world_bone[known, s])
-        children = kinematics.children_of(skeleton.parents, j)
-        if len(children) == 1:
-            bone = so3.unit(skeleton.joint_offsets[children[0]])
-            off = off - (off @ bone)[:, None] * bone
+        bone = skeleton.bone_axis(joint)
+        off = off - (off @ bone)[:, None] * bone
         width = max(round(_WINDOW * poses.rate_hz), 1)
         padded = np.pad(np.linalg.norm(off, axis=1), (width // 2, width - 1 - width // 2), mode="edge")
         angle = np.median(sliding_window_view(padded, width), axis=1)

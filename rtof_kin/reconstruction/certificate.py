@@ -21,7 +21,7 @@ The same for the image: points at the ends of the limbs are left out, and camera
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final
@@ -184,18 +184,12 @@ class Certificate:
             return float("nan")
         sizes = [one.sizes for one in self.left_out]
         each = np.concatenate([np.full(len(own), 1 / len(own)) for own in sizes])  # a sensor counts as another
-        every = np.concatenate(sizes)
-        order = np.argsort(every)
-        return float(every[order][np.searchsorted(np.cumsum(each[order]), 0.9 * len(sizes))])
+        return float(np.quantile(np.concatenate(sizes), 0.9, weights=each, method="inverted_cdf"))
 
     @property
     def ratio(self) -> float:
         """Certified error relative to the stated one, all sensors together; NaN where none was stated."""
         return float(np.sqrt(np.mean([factor(self.left_out, c) for c in (SWING, TWIST)])))
-
-    def of(self, joint: str) -> LeftOut | None:
-        """Return the sensor of a segment."""
-        return next((one for one in self.left_out if one.joint == joint), None)
 
     def limb(self, skeleton: SkeletonModel) -> tuple[str, ...]:
         """Return the segments of the limb that carries all sensors; () where there are sensors elsewhere."""
@@ -206,8 +200,8 @@ class Certificate:
 
     def neighbours(self, joint: str, skeleton: SkeletonModel) -> tuple[LeftOut, ...]:
         """Return the left-out sensors nearest to a segment along the skeleton, all at the same distance."""
-        away = _distances(skeleton, skeleton.index(joint)[0])
-        far = {one.joint: away[skeleton.index(one.joint)[0]] for one in self.left_out}
+        lines = {name: {*kinematics.line_to_root(skeleton.parents, j)} for j, name in enumerate(skeleton.names)}
+        far = {one.joint: len(lines[joint] ^ lines[one.joint]) for one in self.left_out}  # bones between them
         return tuple(one for one in self.left_out if far[one.joint] == min(far.values()))
 
 
@@ -376,7 +370,7 @@ def _compared(one: _Without, predicted: Motion, measured: BoneImuSequence) -> Le
     skeleton, poses = predicted.skeleton, predicted.poses
     j = skeleton.index(one.joint)[0]
     B, M = poses.R_world_bone[:, j], measured.R_world_bone[:, 0]
-    bone = _bone(skeleton, j)
+    bone = skeleton.bone_axis(one.joint)
     covariance = None if predicted.confidence is None else predicted.confidence.turn(WORLD, one.joint)
     stated = np.full((len(B), 2), np.nan)
     if covariance is not None:
@@ -425,12 +419,6 @@ def _mounting(B: Array, M: Array) -> tuple[Array, Array]:
         W = np.einsum("tij,tkj->ik", B, M @ C)
         H = so3.about_axis("z", np.arctan2(W[1, 0] - W[0, 1], W[0, 0] + W[1, 1]))
     return H, C
-
-
-def _bone(skeleton: SkeletonModel, j: int) -> Array:
-    """Return the unit vector (3,) along the bone that begins at a joint; zero where several do, or none."""
-    children = kinematics.children_of(skeleton.parents, j)
-    return so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3)
 
 
 def _parts(error: Array, bone: Array) -> Array:
@@ -490,16 +478,3 @@ def _limb(skeleton: SkeletonModel, joint: int) -> int:
     while (parent := skeleton.parents[joint]) >= 0 and len(kinematics.children_of(skeleton.parents, parent)) == 1:
         joint = parent
     return joint
-
-
-def _distances(skeleton: SkeletonModel, joint: int) -> Mapping[int, int]:
-    """Return the number of bones between a segment and each other one."""
-    away, edge = {joint: 0}, [joint]
-    while edge:
-        at = edge.pop(0)
-        parent = skeleton.parents[at]
-        for other in (*kinematics.children_of(skeleton.parents, at), *((parent,) if parent >= 0 else ())):
-            if other not in away:
-                away[other] = away[at] + 1
-                edge.append(other)
-    return away

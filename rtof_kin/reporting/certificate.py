@@ -18,11 +18,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.reconstruction.certificate import Certificate, LeftOut
 from rtof_kin.reporting.angle_names import plain_words
-from rtof_kin.reporting.audit_results import AuditResult
+from rtof_kin.reporting.audit_results import CERTIFICATE, AuditResult
 from rtof_kin.reporting.document import Cell, Table, number, sentence, write_csv
 
 TABLE: Final = "certificate.csv"
-SECTION: Final = "certificate"
 WORSE, MUCH_WORSE = 1.8, 2.5
 """[1] Certified relative to stated error, all sensors, that warns and fails: at most 1.6 in 40 recordings of held-out
 people and rigs without a fault (benchmarks/results/certificate.md)."""
@@ -133,22 +132,22 @@ def _angle(radians: float) -> str:
 def results(found: Certificate, skeleton: SkeletonModel) -> Iterator[AuditResult]:
     """Yield the certificate as results of the audit."""
     if found.reason:
-        yield AuditResult.not_checked(SECTION, "sensors", found.reason)
+        yield AuditResult.not_checked(CERTIFICATE, "sensors", found.reason)
         return
     if math.isnan(found.ratio):
-        yield AuditResult.not_checked(SECTION, "sensors", UNSTATED, _RATIO)
+        yield AuditResult.not_checked(CERTIFICATE, "sensors", UNSTATED, _RATIO)
     else:
         of = {one.joint: _length(one.certified) / max(_length(one.expected), 1e-9) for one in found.left_out}
         worst = max(of, key=lambda joint: np.nan_to_num(of[joint]))
         note = f"worst {worst}: mounting, headings, clock or bones may be wrong, or the person is unusual"
         source = "held-out people and rigs, benchmarks/results/certificate.md"
-        yield AuditResult(SECTION, _RATIO, "all sensors", found.ratio, "times", WORSE, MUCH_WORSE, source, note)
+        yield AuditResult(CERTIFICATE, _RATIO, "all sensors", found.ratio, "times", WORSE, MUCH_WORSE, source, note)
     weak = tuple(limits(found, skeleton))
     for said in sentences(found, skeleton):
-        yield AuditResult.remark(SECTION, "recording", said, weak=said in weak)
+        yield AuditResult.remark(CERTIFICATE, "recording", said, weak=said in weak)
     for one in found.left_out:
         size = float(np.degrees(_length(one.certified)))
-        yield AuditResult(SECTION, _ALONE, one.joint, size, "deg", source="for information")
+        yield AuditResult(CERTIFICATE, _ALONE, one.joint, size, "deg", source="for information")
 
 
 def write_frames(found: Certificate, folder: Path) -> None:

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core import rotations as so3
@@ -54,12 +53,10 @@ def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
     off = np.full((*known.shape, 3), np.nan)
     off[known] = so3.log(np.swapaxes(R[known], -1, -2) @ imus.R_world_bone[known])
     about = np.zeros(known.shape)
-    for s, j in enumerate(index):
-        children = kinematics.children_of(skeleton.parents, j)
-        if len(children) == 1:
-            bone = so3.unit(skeleton.joint_offsets[children[0]])
-            about[:, s] = off[:, s] @ bone
-            off[:, s] -= about[:, s, None] * bone
+    for s, joint in enumerate(imus.joints):
+        bone = skeleton.bone_axis(joint)
+        about[:, s] = off[:, s] @ bone
+        off[:, s] -= about[:, s, None] * bone
     return np.linalg.norm(off, axis=-1), np.where(known, np.abs(about), np.nan)
 
 

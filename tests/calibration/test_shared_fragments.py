@@ -16,7 +16,6 @@ from rtof_kin.calibration.shared_fragments import Excerpt, SharedFragments, Slic
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.solve.joint_space.observations import bone_axis
 
 Array = NDArray[np.float64]
 
@@ -249,7 +248,7 @@ def turned(part: Slice, joint: str, frames: slice) -> Slice:
     """A sensor 40 degrees askew, about an axis across its bone, in some frames."""
     own: BoneImuSequence = part.bone_imus
     R = own.R_world_bone.copy()
-    s, across = own.joints.index(joint), np.linalg.svd(bone_axis(cs.BODY, joint)[None])[2][1]
+    s, across = own.joints.index(joint), np.linalg.svd(cs.BODY.bone_axis(joint)[None])[2][1]
     R[frames, s] = R[frames, s] @ so3.exp(np.radians(40.0) * across)
     return replace(part, bone_imus=replace(own, R_world_bone=R))
 

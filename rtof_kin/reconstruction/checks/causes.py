@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import STEP, BoneImages, projected
 from rtof_kin.core import rotations as so3
@@ -293,13 +292,13 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
     """Check that no sensor is turned about its bone against the motion on the whole."""
     worst = (0.0, "sensors", _TWIST_DEG)
     for s, joint in enumerate(bone_imus.joints):
-        children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
+        bone = skeleton.bone_axis(joint)
         known = np.isfinite(bone_imus.R_world_bone[:, s]).all(axis=(1, 2)) & poses.valid.any(axis=1)
-        if len(children) != 1 or not known.any():
+        if not bone.any() or not known.any():
             continue
         R = poses.R_world_bone[known, skeleton.names.index(joint)]
         off = so3.log(np.swapaxes(R, -1, -2) @ bone_imus.R_world_bone[known, s])
-        twist = float(np.degrees(np.median(off @ so3.unit(skeleton.joint_offsets[children[0]]))))
+        twist = float(np.degrees(np.median(off @ bone)))
         limit = _TWIST_ARM_DEG if "Arm" in joint else _TWIST_DEG
         worst = max(worst, (twist, joint, limit), key=lambda own: abs(own[0]) / own[2])
     twist, joint, limit = worst

@@ -17,19 +17,12 @@ from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.energy import FrameEnergy
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
-from rtof_kin.solve.joint_space.terms import (
-    Acceleration,
-    bone_axis,
-    built_in_terms,
-    jerk_sigma,
-    low_passed,
-    sensor_data,
-)
+from rtof_kin.solve.joint_space.terms import Acceleration, built_in_terms, jerk_sigma, low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.terms import MotionTerm, PointData, Term, check_observed
 from rtof_kin.vision.image_points import image_points, joined_points, measurements
 
-__all__ = ["Attached", "Observations", "bone_axis", "fragment_of", "low_passed", "sensor_data"]
+__all__ = ["Attached", "Observations", "fragment_of", "low_passed", "sensor_data"]
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ class Orientation(Term):
 
     def constant(self, data: Observations) -> dict[str, Array]:
         """Return (9, S) column-major matrices from an orientation's error, rad, to swing and twist in sigmas."""
-        axes = np.reshape([bone_axis(data.skeleton, joint) for joint in data.sensors], (-1, 3))
+        axes = np.reshape([data.skeleton.bone_axis(joint) for joint in data.sensors], (-1, 3))
         along = axes[:, :, None] * axes[:, None]
         W = (np.eye(3) - along) / data.settings.sigma_swing + along / data.settings.sigma_twist  # symmetric
         return {"whitening": np.asarray(W.reshape(-1, 9).T)}
@@ -414,12 +414,6 @@ def _bone(R: Matrix, b: Matrix, start: Matrix, e: Matrix) -> Matrix:
 
 def _position(observed: Matrix, point: Matrix) -> Matrix:
     return residuals.position(point, observed)
-
-
-def bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
-    """Return the unit direction (3,) of a segment's bone in its frame; 0 for several bones or none."""
-    children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
-    return np.asarray(so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3))
 
 
 def low_passed(bone_imus: BoneImuSequence | None, settings: JointSpaceSettings) -> BoneImuSequence | None:
