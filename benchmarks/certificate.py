@@ -27,6 +27,7 @@ from benchmarks import clocks_real, harness
 from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import with_late_video
 from benchmarks.clocks_headings import filmed
+from benchmarks.confidence.cases import turn_error
 from benchmarks.verdicts.scores import area, rank_correlation
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import Motion
@@ -34,7 +35,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.core.errors import RtofError
-from rtof_kin.data.confidence import BAND_95, WORLD
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.certificate import MOST_SECONDS
@@ -121,21 +122,18 @@ def measured(job: tuple[MocapClip, int, str, str]) -> Row | None:
     certificate, motion = result.certificate, result.motion
     assert certificate is not None
     true, index = at_times(truth, motion.times).R_world_bone, motion.poses.names.index
-    segments = []
-    for one in certificate.left_out:
-        R = true[:, index(one.joint)]
-        kept = one.against(R), replace(one, predicted=motion.poses.R_world_bone[:, index(one.joint)]).against(R)
-        error, with_it = (np.sqrt(np.nanmean(e**2, axis=0)) for e in kept)
-        segments.append(
-            {"joint": one.joint, "certified": one.certified, "expected": one.expected, "measured": one.measured}
-            | {"movement": np.sqrt(np.nanmean(one.movement**2, axis=0)), "true": error, "kept": with_it}
-            | {"sensor_sd": one.sensor_sd}
-        )
-    about = {"motion": clip.name, "subject": clip.subject, "rig": clip.rig, "camera": camera}
-    about |= {"sensors": sensors, "fault": fault}
-    failed = [check.cause for check in result.checks if check.failed]
-    about |= {"segments": segments, "ratio": certificate.ratio, "named": failed}
+    segments = [
+        {"certified": one.certified, "expected": one.expected, "true": _rms(one.against(true[:, index(one.joint)]))}
+        for one in certificate.left_out
+    ]
+    named = any(check.failed for check in result.checks)
+    about = {"sensors": sensors, "fault": fault, "segments": segments, "ratio": certificate.ratio, "named": named}
     return about | {"turns": _turns(motion, truth), "positions": _positions(motion, truth)}
+
+
+def _rms(values: Array) -> Array:
+    """Root mean square over the known frames of (T, n)."""
+    return np.sqrt(np.nanmean(values**2, axis=0))
 
 
 def _turns(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
@@ -144,11 +142,8 @@ def _turns(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
     assert known is not None
     names, true, errors, sigmas = motion.poses.names, at_times(truth, motion.times), [], []
     for k, (parent, child) in enumerate(known.pairs):
-        turns = []
-        for R in (motion.poses.R_world_bone[few], true.R_world_bone[few]):
-            own = R[:, names.index(child)]
-            turns.append(own if parent == WORLD else np.swapaxes(R[:, names.index(parent)], -1, -2) @ own)
-        errors.append(so3.known_log(np.swapaxes(turns[1], -1, -2) @ turns[0]))
+        R, R_true = motion.poses.R_world_bone[few], true.R_world_bone[few]
+        errors.append(turn_error(R, R_true, names, parent, child))
         sigmas.append(np.sqrt(np.diagonal(known.turn_covariance[few, k], axis1=1, axis2=2)))
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     both = np.isfinite(error + sigma).all(axis=1)
@@ -213,7 +208,7 @@ def fault_table(rows: Sequence[Row]) -> str:
             ratio = np.array([row["ratio"] for row in own])
             low, middle, high = np.quantile(ratio, (0.05, 0.5, 0.95))
             graded = [f"{100 * np.mean(ratio > limit):.0f} %" for limit in (WORSE, MUCH_WORSE)]
-            named = 100 * np.mean([bool(row["named"]) for row in own])
+            named = 100 * np.mean([row["named"] for row in own])
             plain = [_covered(row, 1.0) for row in own]
             scaled = [_covered(row, max(1.0, row["ratio"])) for row in own]
             (inside, half), (inside_scaled, half_scaled) = np.mean(plain, axis=0), np.mean(scaled, axis=0)
@@ -235,13 +230,11 @@ def _covered(row: Row, scale: float) -> tuple[float, float]:
     return float(np.mean(np.abs(error) <= half)), float(np.degrees(np.mean(half)))
 
 
-def real_table(folder: Path) -> str:
-    """Certificates of real sensors: alone, and beside a camera that is simulated from their own motion."""
-    lines = [
-        "| trial | sensors, seconds | camera | a segment without its sensor: deg RMS, 90 % below | stated "
-        "| worst, best |",
-        "|---" * 6 + "|",
-    ]
+def print_real(folder: Path) -> None:
+    """Print certificates of real sensors: alone, and beside a camera that is simulated from their own motion."""
+    columns = "trial", "sensors, seconds", "camera", "a segment without its sensor: deg RMS, 90 % below"
+    print(f"| {' | '.join((*columns, 'stated', 'worst, best'))} |")
+    print("|---" * 6 + "|")
     for number, own in enumerate(clocks_real.sessions(folder)):
         usual = [s for s, joint in own.joints.items() if joint in {j for j, _ in own.skeleton.sensors.values()}]
         streams = [stream for stream in own.log.streams if stream.name in usual]
@@ -255,7 +248,7 @@ def real_table(folder: Path) -> str:
                 with without_warnings(RESULT_WARNINGS):
                     found = reconstruct(recording, own.skeleton, mode, settings=SETTINGS).certificate
             except RtofError as error:
-                lines.append(f"| {own.name} | {len(usual)} | {camera} | {error} | | |")
+                print(f"| {own.name} | {len(usual)} | {camera} | {error} | | |", flush=True)
                 continue
             assert found is not None
             size = {one.joint: np.degrees(np.linalg.norm(one.certified)) for one in found.left_out}
@@ -265,9 +258,7 @@ def real_table(folder: Path) -> str:
             seconds = f"{found.stop - found.start:.0f}"
             told = f"{stated:.1f}" if np.isfinite(stated) else "-"
             cells = (own.name, f"{len(size)}, {seconds}", camera, f"{error:.1f}, {below:.0f}", told, ends)
-            lines.append(f"| {' | '.join(cells)} |")
-            print(lines[-1], flush=True)
-    return "\n".join(lines) + "\n"
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -284,7 +275,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "certificate.json")
     options = parser.parse_args(arguments)
     if options.real:
-        real_table(options.real)
+        print_real(options.real)
         return 0
     if options.corpus is None:
         parser.error("give --corpus, or --real")

@@ -146,11 +146,7 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
     for k, (parent, child) in enumerate(stated.pairs):
-        turned = [_seen_from(r, stated.names, parent, child) for r in (R, R_true)]
-        off = np.swapaxes(turned[1], -1, -2) @ turned[0]
-        known = np.isfinite(off).all(axis=(1, 2))  # a truth that was moved in time ends sooner
-        error = np.full((len(off), 3), np.nan)
-        error[known] = so3.log(off[known])
+        error = turn_error(R, R_true, stated.names, parent, child)
         yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], apart.turn[:, k])
 
 
@@ -168,6 +164,12 @@ def angle_errors(case: Case, confidence: Confidence, regular: bool = False) -> I
         known = np.isfinite(off[:, a] + found.sigma[:, a]) & ~(regular & found.singular[:, a])
         if known.any():
             yield name, off[known, a], found.sigma[known, a]
+
+
+def turn_error(R: Array, R_true: Array, names: Sequence[str], parent: str, child: str) -> Array:
+    """Errors (T, 3), rad, of a segment's orientation in its parent, child axes; NaN where one is unknown."""
+    turned = [_seen_from(r, names, parent, child) for r in (R, R_true)]
+    return so3.known_log(np.swapaxes(turned[1], -1, -2) @ turned[0])
 
 
 def _seen_from(R: Array, names: Sequence[str], parent: str, child: str) -> Array:

@@ -7,9 +7,10 @@ part as a whole (outliers, inflation of covariances). Calibration and an unknown
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Final
 
@@ -121,8 +122,11 @@ def reconstruct_in_parts(
     parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
     with explaining(job):
-        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode))
-    certified = _liveliest(source, [times[part.start : part.stop] for part in parts]) if settings.certificate else -1
+        seen = cache(partial(_thinned, source))
+        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode, seen))
+    certified, spans = -1, [times[part.start : part.stop] for part in parts]
+    if settings.certificate:
+        certified = len(parts) // 2 if source.frame_times is None else _liveliest(seen(), spans)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     for number, part in enumerate(parts):
         report("parts", number, len(parts))
@@ -148,14 +152,15 @@ def reconstruct_in_parts(
     report("parts", len(parts), len(parts))
 
 
-def _liveliest(source: RecordingSource, spans: Sequence[Array]) -> int:
-    """Return the number of the part whose points move most in the image; the middle one without a camera."""
-    if source.frame_times is None:
-        return len(spans) // 2
-    seen = _thinned(source)
-    moves = np.nan_to_num(np.abs(np.diff(seen.uv_px, axis=0))).sum(axis=(1, 2))
+def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:
+    """Return the number of the part whose points move most in the image."""
     part = np.searchsorted([times[-1] for times in spans[:-1]], seen.times[1:])
-    return int(np.argmax(np.bincount(part, moves, len(spans))))
+    return int(np.argmax(np.bincount(part, _moves(seen), len(spans))))
+
+
+def _moves(keypoints: KeypointSequence) -> Array:
+    """(T - 1,) px by which all points move from one frame to the next."""
+    return np.asarray(np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2)))
 
 
 def _frame_times(source: RecordingSource, mode: Mode) -> Array:
@@ -206,12 +211,14 @@ def _lost(
         yield lost(like, recording, on_clock, str(error))
 
 
-def _excerpts(source: RecordingSource, job: Job, mode: Mode) -> tuple[list[Job], Job]:
+def _excerpts(
+    source: RecordingSource, job: Job, mode: Mode, thinned: Callable[[], KeypointSequence]
+) -> tuple[list[Job], Job]:
     """Jobs by which clocks and calibration of a long recording are estimated, and the one for its camera."""
     sensed, keypoints = job.sensed(mode), job.recording.keypoints
     if mode == "imu" or keypoints is None or not (sensed or keypoints.camera.uncertainty is not None):
         return [], job
-    seen = _thinned(source)
+    seen = thinned()
     slices = [_between(source, times) for times in _lively_slices(seen)] if sensed else []
     filmed = _between(source, excerpt(seen).times) if keypoints.camera.uncertainty is not None else job.recording
     return [replace(job, recording=recording) for recording in slices], replace(job, recording=filmed)
@@ -237,8 +244,7 @@ def _thinned(source: RecordingSource) -> KeypointSequence:
 def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
     """Yield times of short slices in which the points move most, one of each equal part with any motion."""
     times = keypoints.times
-    moves = np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2))
-    so_far = np.concatenate([[0.0], np.cumsum(moves)])
+    so_far = np.concatenate([[0.0], np.cumsum(_moves(keypoints))])
     last = np.searchsorted(times, times + _SLICE_SECONDS, "right") - 1
     moved = so_far[last] - so_far
     for part in np.array_split(np.flatnonzero(times <= times[-1] - _SLICE_SECONDS), _SLICES):
