@@ -11,7 +11,7 @@ camera and sensors at the ends of the spine do not show them; a reference pose d
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Final, Self
@@ -35,9 +35,12 @@ JOINTS: Final = (*SPINE, *CLAVICLES, *HIPS)  #: Joints of a posture
 RHYTHM: Final = np.diag([0.25, 0.0, 0.15])
 """Turn of a clavicle by the turn of the arm relative to it: about x (elevation), y, z (protraction). An arm
 that is lowered by 90 degrees lowers it by 20 (scapulohumeral rhythm)."""
-_LEVEL, _UPRIGHT, _STILL = np.radians(25.0), np.radians(20.0), 0.5
-"""Largest angles: arms to the horizontal, thighs and trunk to the vertical, rad; angular speed, rad/s."""
-_SHORTEST: Final = 0.2  #: Shortest T-pose, s
+_LEVEL, _HANGING, _UPRIGHT, _STILL = np.radians(25.0), np.radians(30.0), np.radians(20.0), 0.5
+"""Largest angles: arms to the horizontal or vertical, thighs and trunk to the vertical, rad; angular speed, rad/s."""
+_SHORTEST: Final = 0.2  #: Shortest of these poses, s
+STOOD: Final = np.radians(3.0)  #: Standard deviation with which they tell the posture, per axis, rad
+_LEAST: Final = np.radians(0.1)  #: Least standard deviation between persons, rad
+_MEMORY: Final = 15.0  #: Motion that counts as one independent sample of a person's poses, s
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,14 @@ class NeutralPosture:
 
     joints: tuple[str, ...]  #: K joints
     quat_wxyz: Array  #: (K, 4) rotation of each relative to its parent
+    sigma: Array = field(default_factory=lambda: np.empty(0))
+    """(K,) standard deviations per axis, rad; by default `STOOD`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", checked_names("joints of the posture", self.joints))
-        freeze(self, "posture", quat_wxyz=(len(self.joints), 4))
+        if not np.size(self.sigma):
+            object.__setattr__(self, "sigma", np.full(len(self.joints), STOOD))
+        freeze(self, "posture", quat_wxyz=(len(self.joints), 4), sigma=(len(self.joints),))
         if not np.allclose(np.linalg.norm(self.quat_wxyz, axis=-1), 1.0, atol=1e-3):
             raise InvalidInputError("posture quat_wxyz: not unit quaternions; give w, x, y, z of each joint")
 
@@ -79,18 +86,25 @@ def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
     return np.asarray(still & upright.all(axis=1))
 
 
-def t_pose_frames(poses: PoseSequence) -> Mask:
-    """Return in which of evenly spaced frames (T,) of the 21-joint skeleton the person stands still with level arms."""
-    arms = [poses.names.index(name) for name in ("LeftArm", "RightArm")]
-    level = np.abs(poses.R_world_bone[:, arms, 2, 1]) < np.sin(_LEVEL)
-    return np.asarray(standing_frames(poses) & level.all(axis=1))
+def reference_pose(poses: PoseSequence) -> tuple[slice, tuple[str, ...]] | None:
+    """Return the first frames of evenly spaced 21-joint poses in which the person stands still with level arms (the
+    T-pose), else with hanging ones, and the joints whose posture they show; None without.
+
+    How much hanging arms lower the clavicles differs by 9 degrees between persons, so that they do not show these.
+    """
+    height = poses.R_world_bone[:, [poses.names.index(name) for name in ("LeftArm", "RightArm")], 2, 1] * (1, -1)
+    still, least = standing_frames(poses), _SHORTEST * poses.rate_hz
+    for arms, joints in ((np.abs(height) < np.sin(_LEVEL), JOINTS), (height < -np.cos(_HANGING), (*SPINE, *HIPS))):
+        for start, stop in signals.runs(still & arms.all(axis=1)):
+            if stop - start >= least:
+                return slice(start, stop), joints
+    return None
 
 
 def posture_from_t_pose(poses: PoseSequence, parents: Sequence[int]) -> NeutralPosture | None:
     """Return the posture of the first T-pose of evenly spaced 21-joint poses, with `parents` (J,); else None."""
-    least = _SHORTEST * poses.rate_hz
-    runs = [(start, stop) for start, stop in signals.runs(t_pose_frames(poses)) if stop - start >= least]
-    return NeutralPosture.of(poses[slice(*runs[0])], parents) if runs else None
+    found = reference_pose(poses)
+    return NeutralPosture.of(poses[found[0]], parents) if found is not None and found[1] == JOINTS else None
 
 
 @dataclass(frozen=True)
@@ -162,29 +176,89 @@ class PosePrior:
         found = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {name: np.asarray(value) for name, value in found.items() if value is not None}
 
+    @property
+    def between_and_within(self) -> tuple[Array, Array] | None:
+        """Covariance of persons' means about this one, and of poses about their person's: (3 (J - 1), 3 (J - 1)) each;
+        None where unknown.
+        """
+        within = self.covariance_about_posture
+        if within is None:
+            return None
+        values, axes = np.linalg.eigh(self.covariance - within)
+        return np.asarray(axes * np.maximum(values, _LEAST**2) @ axes.T), within
+
     def about(self, posture: NeutralPosture) -> PosePrior:
-        """Return the prior of a person: its mean moved to the person's neutral posture, its covariance that
-        of persons about theirs where it is known.
+        """Return the prior of a person whose neutral posture is known with its standard deviations.
 
         Where a take begins with a T-pose, the bends of the spine there are those of its median; arms hang
         in the mean, which lowers the clavicles by the `RHYTHM` of the two; hips are flexed from the
-        person's T-pose as from anybody's.
+        person's T-pose as from anybody's. So a posture y is a measurement of the person's mean b (Gauss-Markov):
+        with the covariances B between persons, W about their own and S of the posture, b = B (B + S)^-1 y, and poses
+        have the covariance W + B - B (B + S)^-1 B. Where B is unknown, b = y and the covariance stays.
         """
-        mean = so3.from_quat_wxyz(self.mean_quat_wxyz)
-        for joint, R in zip(posture.joints, posture.R_parent_bone, strict=True):
-            j = self.joints.index(joint) - 1
-            if joint in CLAVICLES:
-                arm = self.joints.index(joint.replace("Shoulder", "Arm")) - 1
-                mean[j] = R @ so3.exp(RHYTHM @ so3.log(mean[arm]))
-            else:
-                mean[j] = R @ mean[j] if joint in HIPS else R
-        known = self.covariance_about_posture
+        mean, spread = so3.from_quat_wxyz(self.mean_quat_wxyz), self.between_and_within
+        told, index = self._means(posture), [self.joints.index(joint) - 1 for joint in posture.joints]
+        if spread is None:
+            mean[index] = told
+            return replace(self, mean_quat_wxyz=so3.to_quat_wxyz(mean))
+        between, within = spread
+        y = so3.log(np.swapaxes(mean[index], -1, -2) @ told).ravel()
+        rows = np.ravel([3 * j + np.arange(3) for j in index])
+        noise = np.diag(np.repeat(posture.sigma**2, 3))
+        gain = np.linalg.solve(between[np.ix_(rows, rows)] + noise, between[rows]).T
         return replace(
             self,
-            mean_quat_wxyz=so3.to_quat_wxyz(mean),
-            covariance=self.covariance if known is None else known,
+            mean_quat_wxyz=so3.to_quat_wxyz(mean @ so3.exp((gain @ y).reshape(-1, 3))),
+            covariance=within + between - gain @ between[rows],
             covariance_about_posture=None,
         )
+
+    def _means(self, posture: NeutralPosture) -> Array:
+        """Mean rotations (K, 3, 3) of the joints of a posture that it tells."""
+        mean, out = so3.from_quat_wxyz(self.mean_quat_wxyz), list[Array]()
+        for joint, R in zip(posture.joints, posture.R_parent_bone, strict=True):
+            out.append(R @ self._after_t_pose(mean, joint))
+        return np.array(out)
+
+    def _after_t_pose(self, mean: Array, joint: str) -> Array:
+        """Rotation (3, 3) from that of a joint in the T-pose to its mean."""
+        if joint in CLAVICLES:
+            arm = self.joints.index(joint.replace("Shoulder", "Arm")) - 1
+            return so3.exp(RHYTHM @ so3.log(mean[arm]))
+        return mean[self.joints.index(joint) - 1] if joint in HIPS else np.eye(3)
+
+    def posture_of(self, local: Array, seconds: float, sigma: Array) -> NeutralPosture | None:
+        """Return the neutral posture that a person's poses tell without the prior; None where the covariance between
+        persons is unknown.
+
+        A motion tells the mean of its own poses: it is one independent sample in `_MEMORY` seconds of the person's,
+        and correlated limbs tell what of it is the activity.
+
+        Args:
+            local: (T, J - 1, 3, 3) rotations of joints relative to their parents. seconds: duration of the motion.
+            sigma: (J - 1, 3) standard deviations of constant errors of these, about their axes, rad; of poses that were
+                estimated with this prior.
+        """
+        mean, spread = so3.from_quat_wxyz(self.mean_quat_wxyz), self.between_and_within
+        if spread is None:
+            return None
+        between, within = spread
+        share = np.clip(1 - sigma.ravel() ** 2 / np.diagonal(self.covariance), 0.01, 1.0)  # not of the prior
+        y = so3.log(np.swapaxes(mean, -1, -2) @ local).mean(axis=0).ravel() / share
+        noise = within * (_MEMORY / seconds) + np.diag(sigma.ravel() ** 2 / share)
+        gain = np.linalg.solve(between + noise, between).T
+        b, after = gain @ y, between - gain @ between
+        rotations, sigmas = list[Array](), list[float]()
+        for joint in JOINTS:  # each alone, without its prior
+            j = self.joints.index(joint) - 1
+            own = slice(3 * j, 3 * j + 3)
+            information = np.linalg.inv(after[own, own]) - np.linalg.inv(between[own, own])
+            told = np.linalg.solve(information, np.linalg.solve(after[own, own], b[own]))
+            right = self._after_t_pose(mean, joint)
+            rotations.append(mean[j] @ so3.exp(told) @ right.T)
+            shared = len(SPINE) if joint in SPINE else 1  # the bend of the spine, told once
+            sigmas.append(float(np.sqrt(shared * np.trace(np.linalg.inv(information)) / 3)))
+        return NeutralPosture(JOINTS, so3.to_quat_wxyz(np.array(rotations)), np.array(sigmas))
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints; `joints`: A names, without the root;

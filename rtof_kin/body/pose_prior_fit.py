@@ -37,6 +37,10 @@ LOWERED = np.radians(4.0)
 """Mean of following clavicles below their T-pose, with arms that mostly hang, rad."""
 FOLLOWING: Final = 0.5  #: Share of clavicles that follow the arms in a prior of several rigs
 CLAVICLE = np.radians([6.0, 5.0, 6.0])  #: Standard deviation of a clavicle about what the arm tells, rad
+PERSON_S: Final = 25.0  #: Least motion of a person that shows the person's mean, s
+PERSONS: Final = 8  #: Fewest such persons that show the spread between persons
+BUILT: Final = (*JOINTS, "Neck", "Head")  #: Joints whose means differ between persons by build, not by what they do
+MOST_BETWEEN: Final = 0.85  #: Largest share of the variance of any combination of joints that is between persons
 LEAST = np.radians(0.3)  #: Smallest standard deviation of any combination of joints, rad
 TRUNK: Final = (*SPINE, "Neck")  #: Joints whose distances along the trunk tell rigs apart
 SAME_SHARE: Final = 0.03  #: Largest difference of such a distance within a rig, as a share of the trunk's length
@@ -109,6 +113,8 @@ def fit_pose_prior(
     if postures and len(persons) >= LEAST_SUBJECTS:
         own = [(postures[s], rotations) for s, rotations in persons.items()]
         prior = _with_postures(prior, own, following if even_spine else None)
+    elif even_spine:
+        prior = _with_persons(prior, local, motions)
     return prior if known is None else shrunk(prior, known, SHRINK_S / (SHRINK_S + sum(seconds.values())))
 
 
@@ -149,8 +155,7 @@ def _with_postures(
         mean = so3.from_quat_wxyz(prior.about(posture).mean_quat_wxyz)
         vectors = so3.log(np.swapaxes(mean, -1, -2) @ own[:, 1:]).reshape(-1, size)
         moment += vectors.T @ vectors / frames
-    swap = np.eye(size // 3)[np.array(_other_side(prior.joints))[1:] - 1]
-    mirror = np.kron(swap, -_MIRROR)  # rotation vectors change sign in a mirror, but for the part across it
+    mirror = _mirror_of(prior.joints)
     about = (moment + mirror @ moment @ mirror.T) / 2
     if following is not None:
         about = of_mixed_rigs(prior.joints, so3.from_quat_wxyz(prior.mean_quat_wxyz), about, following)[1]
@@ -158,6 +163,48 @@ def _with_postures(
     rows = np.ravel([3 * (prior.joints.index(joint) - 1) + np.arange(3) for joint in JOINTS])
     smaller = np.diagonal(about)[rows].sum() < np.diagonal(prior.covariance)[rows].sum()
     return replace(prior, covariance_about_posture=about) if smaller else prior
+
+
+def _with_persons(prior: PosePrior, local: Sequence[Array], motions: Sequence[PersonMotion]) -> PosePrior:
+    """Add the covariance of rotations (T, J, 3, 3) of motions about the means of their persons, where enough persons
+    show it: that of the means, of joints that differ by build, taken from the whole.
+
+    Between persons, the correlations of n persons count n of n + `PERSONS`, and the covariance is at most
+    `MOST_BETWEEN` of the whole.
+    """
+    mean = so3.from_quat_wxyz(prior.mean_quat_wxyz)
+    rows = dict[str, list[tuple[float, Array]]]()
+    for own, m in zip(local, motions, strict=True):
+        vectors = so3.log(np.swapaxes(mean, -1, -2) @ own[:, 1:]).mean(axis=0).ravel()
+        rows.setdefault(m.subject, []).append((len(m.R_world_bone) / m.rate_hz, vectors))
+    long = [own for own in rows.values() if sum(seconds for seconds, _ in own) >= PERSON_S]
+    if len(long) < PERSONS:
+        return prior
+    means = np.array([np.average([v for _, v in own], axis=0, weights=[s for s, _ in own]) for own in long])
+    moment, mirror = means.T @ means / len(means), _mirror_of(prior.joints)
+    moment = (moment + mirror @ moment @ mirror.T) / 2
+    built = np.repeat([joint in BUILT for joint in prior.joints[1:]], 3)
+    average, uneven = _even_spine(prior.joints)
+    between = average @ (moment * np.outer(built, built)) @ average.T + np.kron(uneven, np.diag(UNEVEN**2)) / 2
+    share = PERSONS / (len(long) + PERSONS)
+    between = (1 - share) * between + share * np.diag(np.diagonal(between))
+    root = np.linalg.cholesky(prior.covariance)
+    values, axes = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, between).T))
+    within = root @ (axes * (1 - np.clip(values, 0.0, MOST_BETWEEN))) @ axes.T @ root.T
+    return replace(prior, covariance_about_posture=_firm(within))
+
+
+def _mirror_of(names: Sequence[str]) -> Array:
+    """Matrix that mirrors rotation vectors (3 (J - 1)): they change sign, but for the part across the mirror."""
+    return np.kron(np.eye(len(names) - 1)[np.array(_other_side(names))[1:] - 1], -_MIRROR)
+
+
+def _even_spine(names: Sequence[str]) -> tuple[Array, Array]:
+    """Matrix (3 (J - 1), 3 (J - 1)) that shares the bend of the spine, and (J - 1, J - 1) of what differs from it."""
+    spine = np.ix_(*2 * [[names.index(joint) - 1 for joint in SPINE]])
+    share, uneven = np.eye(len(names) - 1), np.zeros((len(names) - 1, len(names) - 1))
+    share[spine], uneven[spine] = 1 / len(SPINE), np.eye(len(SPINE)) - 1 / len(SPINE)
+    return np.asarray(np.kron(share, np.eye(3))), uneven
 
 
 def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
@@ -200,13 +247,9 @@ def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array, followin
     bend of the trunk shared evenly (mean, variance and correlations), and clavicles a share of which follow the arms.
     """
     spine = [names.index(joint) - 1 for joint in SPINE]
-    mean, share = mean.copy(), np.eye(len(mean))
+    mean, (average, uneven) = mean.copy(), _even_spine(names)
     bend = so3.log(mean[spine[0]] @ mean[spine[1]] @ mean[spine[2]] @ mean[spine[3]])
     mean[spine] = so3.exp(bend / len(spine))
-    share[np.ix_(spine, spine)] = 1 / len(spine)
-    average = np.kron(share, np.eye(3))
-    uneven = np.zeros_like(share)
-    uneven[np.ix_(spine, spine)] = np.eye(len(spine)) - 1 / len(spine)
     covariance = average @ covariance @ average.T + np.kron(uneven, np.diag(UNEVEN**2))
     lowered, follow, own = mean.copy(), np.eye(len(covariance)), np.zeros(len(covariance))
     for joint in CLAVICLES:

@@ -132,10 +132,14 @@ class SkeletonTable:
         return np.array([joint.offset for joint in self.joints])
 
     @property
+    def general_prior(self) -> PosePrior:
+        """Pose prior of anybody."""
+        return self.model_prior or shipped_prior(self.names)
+
+    @property
     def prior(self) -> PosePrior:
         """Pose prior, about the neutral posture where that is known."""
-        prior = self.model_prior or shipped_prior(self.names)
-        return prior if self.posture is None else prior.about(self.posture)
+        return self.general_prior if self.posture is None else self.general_prior.about(self.posture)
 
     def scaled_to(self, offsets: Array) -> SkeletonTable:
         """Return the table with other offsets; ends, landmarks and sensors are scaled.

@@ -10,11 +10,13 @@ from typing import Any, Final
 import numpy as np
 from filelock import FileLock
 
-from rtof_kin.body.pose_prior import has_prior, posture_from_t_pose, t_pose_frames
+from rtof_kin.body import kinematics
+from rtof_kin.body.pose_prior import SPINE, STOOD, NeutralPosture, has_prior, reference_pose
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration, bone_groups
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording, RecordingSource
 from rtof_kin.recording.subject import (
@@ -31,7 +33,7 @@ from rtof_kin.solve.settings import JointSpaceSettings
 
 _SHOWN: Final = 0.7
 """Largest standard deviation of a joint in the T-pose, relative to the prior's, with which the recording shows it."""
-_REPEATED: Final = 3.0  #: [deg] by which a person's T-poses differ
+_LEAST_S: Final = 20.0  #: [s] Shortest motion that tells a posture by itself
 _ANKLE, _LOWEST = JointSpaceSettings().ankle_height, 0.02  #: [m] Usual and lowest height of ankles
 _News = Mapping[str, tuple[Array | float, float]]  # Value and standard deviation by field
 
@@ -71,7 +73,7 @@ class Person:
         """
         for number, part in enumerate(parts):
             if number == 0:
-                found = _from_t_pose(part.motion) | _from_calibration(part.calibration, body, not given.bones_given)
+                found = _from_motion(part.motion) | _from_calibration(part.calibration, body, not given.bones_given)
                 self.news = _estimates(found, source, given.session.date) | given_by(given, source)
             yield replace(part, warnings=(self.doubt, *part.warnings)) if self.doubt and number == 0 else part
 
@@ -121,21 +123,45 @@ def _from_calibration(found: SelfCalibration | None, body: SkeletonModel, bones:
     return news
 
 
-def _from_t_pose(motion: Motion) -> dict[str, Any]:
-    """Return the posture, deg, in the first T-pose of a motion, of joints that it shows better than the prior; nothing
-    without a T-pose or covariances.
+def _from_motion(motion: Motion) -> dict[str, Any]:
+    """Return the posture, deg, in which the person stands (`reference_pose`), else that which the whole motion tells
+    where it is long enough, of joints that it shows better than the prior; nothing without covariances.
     """
-    skeleton, confidence = motion.skeleton, motion.confidence
+    skeleton, confidence, poses = motion.skeleton, motion.confidence, motion.poses
     if confidence is None or not has_prior(skeleton.name):
         return {}
-    if (posture := posture_from_t_pose(motion.poses, skeleton.parents)) is None:
+    names, prior, seconds = skeleton.names, skeleton.table.general_prior, len(poses) / poses.rate_hz
+    stood = reference_pose(poses)
+    if stood is not None:
+        confidence = confidence[stood[0]]
+    elif seconds < _LEAST_S:
         return {}
-    news, still = dict[str, Any](), t_pose_frames(motion.poses)
-    usual = np.sqrt(np.diag(skeleton.table.prior.covariance).reshape(-1, 3).mean(axis=1))
-    for joint, turn in zip(posture.joints, np.degrees(so3.log(posture.R_parent_bone)), strict=True):
-        j = skeleton.names.index(joint)
-        own = confidence.turn(skeleton.names[skeleton.parents[j]], joint)[still]
-        sigma = float(np.sqrt(np.trace(own, axis1=1, axis2=2).mean() / 3))
-        if sigma < _SHOWN * usual[j - 1]:  # NaN where unobserved
-            news[f"posture_deg.{joint}"] = turn, float(np.hypot(np.degrees(sigma), _REPEATED))
-    return news
+    pairs = zip((names[parent] for parent in skeleton.parents[1:]), names[1:], strict=True)
+    sigma = np.array([_turn_sigma(confidence, *pair) for pair in pairs])
+    # Where the trunk bends is not seen, only how much: each joint of the spine has its share.
+    sigma[[names.index(joint) - 1 for joint in SPINE]] = _turn_sigma(confidence, "Hips", SPINE[-1]) / len(SPINE)
+    if stood is not None:
+        own = np.sqrt(np.mean(sigma[[names.index(joint) - 1 for joint in stood[1]]] ** 2, axis=1))
+        posture = replace(NeutralPosture.of(poses[stood[0]], skeleton.parents, stood[1]), sigma=np.hypot(own, STOOD))
+    else:
+        known = np.isfinite(poses.R_world_bone).all(axis=(1, 2, 3))
+        local = kinematics.local_rotations(skeleton.parents, poses.R_world_bone[known])[:, 1:]
+        found = prior.posture_of(local, seconds, sigma)
+        if found is None:
+            return {}
+        posture = found
+    usual = np.sqrt(np.diagonal(prior.covariance)).reshape(-1, 3)
+    shown = np.linalg.norm(sigma, axis=1) < _SHOWN * np.linalg.norm(usual, axis=1)
+    turns, sds = np.degrees(so3.log(posture.R_parent_bone)), np.degrees(posture.sigma)
+    return {
+        f"posture_deg.{joint}": (turn, float(sd))
+        for joint, turn, sd in zip(posture.joints, turns, sds, strict=True)
+        if shown[names.index(joint) - 1]
+    }
+
+
+def _turn_sigma(confidence: Confidence, parent: str, child: str) -> Array:
+    """Root mean square (3,) of the standard deviations of a segment relative to another, rad; pi where unobserved."""
+    variance = np.diagonal(confidence.turn(parent, child), axis1=1, axis2=2)
+    known = np.isfinite(variance).all(axis=1)
+    return np.sqrt(variance[known].mean(axis=0)) if known.any() else np.full(3, np.pi)

@@ -127,7 +127,8 @@ class Subject(InputTable):
             facts["sigma_bones"] = min(float(sd / length), _UNKNOWN)
         if recording.posture is None and self.posture_deg:
             turns = np.radians([one.value for one in self.posture_deg.values()])
-            facts["posture"] = NeutralPosture(tuple(self.posture_deg), so3.to_quat_wxyz(so3.exp(turns)))
+            sigmas = np.radians([sd_of("posture_deg", one) for one in self.posture_deg.values()])
+            facts["posture"] = NeutralPosture(tuple(self.posture_deg), so3.to_quat_wxyz(so3.exp(turns)), sigmas)
         return facts
 
 

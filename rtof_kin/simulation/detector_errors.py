@@ -249,6 +249,7 @@ class DetectorErrors:
     losses: float = 1.0  # [-] on how often the person is lost inside the image
     camera: float = 1.0  # [-] on the error of the camera's calibration
     delay_frames: tuple[float, ...] = (1, 1, 1, 2, 2, 3)  # [frames at 60 Hz] of which one is drawn
+    who: int | None = None  # Seed of the person's places; by default every recording is of another person
 
     @classmethod
     def none(cls) -> Self:
@@ -301,6 +302,7 @@ def simulate_detections(
     """
     table = detector_error_table()
     standing, person, lasting, colour, moods, jumps, swaps, seeing, losing = rng.spawn(9)
+    person = person if errors.who is None else np.random.default_rng(errors.who)
     true_camera = _true_camera(standing, camera, poses.p_world_joint[:, 0].mean(axis=0), table, errors.camera)
     scene = _scene(person, poses, skeleton, true_camera, table, errors)
     T = len(poses)

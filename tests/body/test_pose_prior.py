@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rtof_kin.body.pose_prior import (
     CLAVICLES,
     HIPS,
     JOINTS,
+    RHYTHM,
     SPINE,
     NeutralPosture,
     PosePrior,
@@ -169,7 +171,8 @@ def test_hanging_arms_and_short_or_moving_t_poses_are_none() -> None:
 
 def test_the_prior_of_a_person_has_the_spine_of_the_posture_and_lowered_clavicles() -> None:
     posture = NeutralPosture.of(bent(OWN, 3), BODY.parents)
-    population, own = shipped_prior(BODY.names), BODY.with_posture(posture).table.prior
+    population = replace(shipped_prior(BODY.names), covariance_about_posture=None)
+    own = BODY.with_prior(population).with_posture(posture).table.prior
     means = {n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(own.mean_quat_wxyz), strict=True)}
     before = {n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(population.mean_quat_wxyz), strict=True)}
     for joint in SPINE:
@@ -183,6 +186,84 @@ def test_the_prior_of_a_person_has_the_spine_of_the_posture_and_lowered_clavicle
     assert 12 < lowered["RightShoulder"] < 20
     assert {n for n in means if not np.allclose(means[n], before[n])} <= set(JOINTS)
     np.testing.assert_array_equal(own.covariance, population.covariance)
+
+
+def planted_means(count: int) -> tuple[PosePrior, Array, Array]:
+    """The shipped prior, and means b (count, J - 1, 3) of persons drawn from it, and theirs as rotations."""
+    prior = shipped_prior(BODY.names)
+    assert prior.between_and_within is not None
+    between = 0.25 * prior.between_and_within[0]  # small turns, for which rotation vectors add
+    prior = replace(prior, covariance=prior.between_and_within[1] + between)
+    b = np.random.default_rng(1).multivariate_normal(np.zeros(len(between)), between, count, method="cholesky")
+    return prior, b, so3.from_quat_wxyz(prior.mean_quat_wxyz) @ so3.exp(b.reshape(count, -1, 3))
+
+
+def in_t_pose(prior: PosePrior, means: Array) -> Array:
+    """Rotations (J - 1, 3, 3) in the T-pose of a person with these means."""
+    out, usual = np.array(means), dict(zip(BODY.names[1:], so3.from_quat_wxyz(prior.mean_quat_wxyz), strict=True))
+    for joint in HIPS:
+        j = BODY.names.index(joint) - 1
+        out[j] = means[j] @ usual[joint].T
+    for joint in CLAVICLES:
+        j = BODY.names.index(joint) - 1
+        out[j] = means[j] @ so3.exp(RHYTHM @ so3.log(usual[joint.replace("Shoulder", "Arm")])).T
+    return out
+
+
+def errors_of(prior: PosePrior, own: PosePrior, b: Array) -> tuple[float, float, float]:
+    """Mean squares of a person's mean before and after, deg^2, and of the error over its stated standard deviation."""
+    mean = so3.from_quat_wxyz(prior.mean_quat_wxyz)
+    off = so3.log(np.swapaxes(mean, -1, -2) @ so3.from_quat_wxyz(own.mean_quat_wxyz)).ravel() - b
+    assert prior.between_and_within is not None
+    left = np.diagonal(own.covariance - prior.between_and_within[1])
+    rows = np.ravel([3 * (BODY.names.index(joint) - 1) + np.arange(3) for joint in JOINTS])
+    return tuple(float(np.mean(v[rows])) for v in (np.degrees(b) ** 2, np.degrees(off) ** 2, off**2 / left))
+
+
+@pytest.mark.parametrize("sigma_deg", [0.5, 3.0])
+def test_a_posture_measured_with_errors_tells_a_persons_mean_with_the_stated_ones(sigma_deg: float) -> None:
+    prior, persons, means = planted_means(60)
+    rng, index, rows = np.random.default_rng(2), [BODY.names.index(joint) - 1 for joint in JOINTS], []
+    for b, R in zip(persons, means, strict=True):
+        told = in_t_pose(prior, R)[index] @ so3.exp(np.radians(rng.normal(0, sigma_deg, (len(JOINTS), 3))))
+        posture = NeutralPosture(JOINTS, so3.to_quat_wxyz(told), np.full(len(JOINTS), np.radians(sigma_deg)))
+        rows.append(errors_of(prior, prior.about(posture), b))
+    before, after, ratio = np.mean(rows, axis=0)
+    assert after < {0.5: 0.2, 3.0: 0.7}[sigma_deg] * before
+    assert ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_one_known_joint_leaves_the_spread_of_others() -> None:
+    prior = shipped_prior(BODY.names)
+    own = prior.about(NeutralPosture(("Spine1",), so3.to_quat_wxyz(np.eye(3)[None]), np.array([0.01])))
+    share = np.diagonal(own.covariance) / np.diagonal(prior.covariance)
+    hips = slice(3 * (BODY.names.index("LeftUpLeg") - 1), 3 * BODY.names.index("LeftUpLeg"))
+    assert np.all(share < 1.02)
+    assert np.all(share[hips] > 0.9)
+
+
+@pytest.mark.parametrize(("seconds", "least"), [(30.0, 0.5), (300.0, 0.25)])
+def test_long_motion_tells_a_persons_mean(seconds: float, least: float) -> None:
+    prior, persons, means = planted_means(60)
+    assert prior.between_and_within is not None
+    within, rng, rows = prior.between_and_within[1], np.random.default_rng(3), []
+    independent = round(seconds / 15)
+    for b, R in zip(persons, means, strict=True):
+        turns = rng.multivariate_normal(np.zeros(len(b)), 0.1 * within, independent, method="cholesky")
+        posture = prior.posture_of(R @ so3.exp(turns.reshape(independent, -1, 3)), 10 * seconds, np.zeros((len(R), 3)))
+        assert posture is not None
+        rows.append(errors_of(prior, prior.about(posture), b))
+    before, after, ratio = np.mean(rows, axis=0)
+    assert after < least * before
+    assert 0.5 < ratio < 1.5
+
+
+def test_motion_that_does_not_show_a_joint_tells_nothing_of_it() -> None:
+    prior, _, means = planted_means(1)
+    posture = prior.posture_of(means, 60.0, np.full((len(BODY.names) - 1, 3), np.pi))
+    assert posture is not None
+    assert np.all(posture.sigma > np.radians(90))
+    assert replace(prior, covariance_about_posture=None).posture_of(means, 60.0, np.zeros((20, 3))) is None
 
 
 def test_angles_relative_to_standing_vanish_there_and_keep_their_range() -> None:

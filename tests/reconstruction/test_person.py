@@ -12,7 +12,7 @@ import planted
 import pytest
 
 from rtof_kin.body.kinematics import world_rotations
-from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
+from rtof_kin.body.pose_prior import HIPS, SPINE, NeutralPosture
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
@@ -128,23 +128,55 @@ def test_the_ankle_height_of_the_file_is_used() -> None:
     assert Person(file_of(USUAL)).calibration is Person().calibration is None
 
 
-def test_a_t_pose_shows_the_joints_that_are_known_better_than_by_the_prior() -> None:
+def standing(frames: int, arms_deg: float, sigma_deg: Mapping[str, float]) -> Motion:
+    """A person with `POSTURE` who stands still, the arms lowered, with standard deviations of turns by joint, and of
+    the trunk relative to the pelvis as that of Spine3.
+    """
     R = np.tile(np.eye(3), (21, 1, 1))
     R[USUAL.index(*POSTURE)] = so3.exp(np.radians([*POSTURE.values()]))
+    R[USUAL.index("LeftArm", "RightArm")] = so3.exp(np.radians([[-arms_deg, 0, 0], [arms_deg, 0, 0]]))
     q = USUAL.inverse_kinematics(np.full((1, 21, 3), (0.0, 0.0, 0.95)), world_rotations(USUAL.parents, R[None]))
-    still = planted._motion(USUAL, np.repeat(q, 40, axis=0), seen=True)
-    pairs = tuple((USUAL.names[USUAL.parents[j]], USUAL.names[j]) for j in USUAL.index(*JOINTS))
-    sigmas = np.radians([4.0 if child.endswith("UpLeg") else 12.0 for _, child in pairs])
-    turns = np.broadcast_to(sigmas[:, None, None] ** 2 * np.eye(3), (40, len(pairs), 3, 3))
-    zeros = np.zeros((40, 21, 3, 3))
-    motion = replace(still, confidence=Confidence(still.times, USUAL.names, zeros, zeros, pairs, turns))
-    recording = planted.recording(still)
-    result = reconstruct(recording, mode="lift", lifter=planted.PlantedLifter(still))
-    found = news(recording, replace(result, motion=motion))
-    assert set(found) == {"posture_deg.LeftUpLeg", "posture_deg.RightUpLeg"}
+    still = planted._motion(USUAL, np.repeat(q, frames, axis=0), seen=True)
+    pairs = (*((USUAL.names[USUAL.parents[j]], USUAL.names[j]) for j in range(1, 21)), ("Hips", "Spine3"))
+    sigmas = np.radians([sigma_deg.get(child, 30.0) for _, child in pairs])
+    turns = np.broadcast_to(sigmas[:, None, None] ** 2 * np.eye(3), (frames, len(pairs), 3, 3))
+    zeros = np.zeros((frames, 21, 3, 3))
+    return replace(still, confidence=Confidence(still.times, USUAL.names, zeros, zeros, pairs, turns))
+
+
+def news_of(motion: Motion) -> Mapping[str, Estimate[Any]]:
+    short = planted.human(USUAL, 12)
+    result = reconstruct(planted.recording(short), mode="lift", lifter=planted.PlantedLifter(short))
+    return news(planted.recording(short), replace(result, motion=motion))
+
+
+SHOWN = {"LeftUpLeg": 4.0, "RightUpLeg": 4.0, "LeftShoulder": 4.0}
+
+
+def test_a_t_pose_shows_the_joints_that_are_known_better_than_by_the_prior() -> None:
+    still = standing(40, 0.0, SHOWN)
+    found = news_of(still)
+    assert set(found) == {f"posture_deg.{joint}" for joint in SHOWN}
     np.testing.assert_allclose(found["posture_deg.LeftUpLeg"].value, POSTURE["LeftUpLeg"], atol=0.1)
     assert found["posture_deg.LeftUpLeg"].sd == pytest.approx(np.hypot(4.0, 3.0), rel=1e-3)
-    assert news(recording, replace(result, motion=still)) == {}  # without covariances
+    assert news_of(replace(still, confidence=None)) == {}
+
+
+def test_hanging_arms_show_hips_and_spine_but_no_clavicles() -> None:
+    found = news_of(standing(40, 80.0, {**SHOWN, "Spine3": 4.0}))
+    assert set(found) == {f"posture_deg.{joint}" for joint in (*SPINE, *HIPS)}
+    np.testing.assert_allclose(found["posture_deg.Spine2"].value, POSTURE["Spine2"], atol=0.1)
+    assert found["posture_deg.Spine2"].sd == pytest.approx(np.hypot(1.0, 3.0), rel=1e-3)  # its share of the bend
+
+
+def test_a_long_motion_shows_the_posture_without_such_a_pose() -> None:
+    assert news_of(standing(600, 45.0, SHOWN)) == {}  # of ten seconds
+    found = news_of(standing(3600, 45.0, SHOWN))
+    assert set(found) == {f"posture_deg.{joint}" for joint in SHOWN}
+    prior, sd = USUAL.table.prior.covariance, found["posture_deg.LeftUpLeg"].sd
+    assert sd is not None
+    j = USUAL.names.index("LeftUpLeg") - 1
+    assert 4.0 < sd < np.degrees(np.sqrt(np.trace(prior[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]) / 3))
 
 
 def test_a_file_is_made_and_gets_better(tmp_path: Path) -> None:

@@ -56,6 +56,14 @@ def point(name: str) -> int:
     return TABLE.layout.names.index(name)
 
 
+def test_recordings_of_one_person_have_the_same_places() -> None:
+    person = replace(NONE, person=1.0, view=1.0)
+    one, same = (found(replace(person, who=7), STANDING[:2], seed=seed)[0] for seed in (0, 1))
+    np.testing.assert_array_equal(one, same)
+    others = [found(who, STANDING[:2])[0] for who in (person, replace(person, who=8))]
+    assert all(np.abs(one - other).max() > 1.0 for other in others)
+
+
 def test_without_errors_points_are_projected_from_their_places() -> None:
     camera = replace(planted.camera(), distortion=np.array([0.1, -0.05, 0.001, 0.002, 0.01]))
     uv, _ = found(NONE, POSES, camera)
