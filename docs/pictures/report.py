@@ -6,7 +6,7 @@ from PIL import Image
 
 from docs.pictures.studio import Studio, save, side_by_side
 
-LABELS = ("--subject", "P07", "--operator", "A. Analyst", "--date", "2026-01-31", "--weight", "70")
+LABELS = ("--code", "P07", "--operator", "A. Analyst", "--date", "2026-01-31", "--weight", "70")
 DESKTOP, PHONE, NARROWEST = (1180, 1500), (390, 1500), 520
 """[px] width and height; the narrowest window of a headless browser."""
 WIDTH = 1400

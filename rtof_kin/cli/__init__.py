@@ -42,6 +42,8 @@ OLD_COMMANDS: Final = {
     "reproduce": "reconstruct, on the recording that export --to archive has put into the file",
 }
 """Command of an earlier version -> what does it now."""
+OLD_OPTIONS: Final = {("report", "--subject"): "--code; --subject is the person's file, of other commands"}
+"""Command and option of an earlier version -> what does it now."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -165,11 +167,14 @@ def _summary(module: str, function: str) -> str:
 
 
 def _check_name(arguments: list[str]) -> None:
-    """Raise an error with the present name of a command that an earlier version called otherwise."""
+    """Raise an error with the present name of a command or option that an earlier version called otherwise."""
     from rtof_kin.core.errors import InvalidInputError
 
     if arguments and arguments[0] in OLD_COMMANDS:
         raise InvalidInputError(f"{arguments[0]}: is now rtof-kin {OLD_COMMANDS[arguments[0]]}")
+    for option in (word.partition("=")[0] for word in arguments[1:]):
+        if (now := OLD_OPTIONS.get((arguments[0], option))) is not None:
+            raise InvalidInputError(f"{arguments[0]} {option}: is now {now}")
 
 
 def _threads(arguments: list[str]) -> int | None:

@@ -29,7 +29,7 @@ def report(
     tables: Annotated[Path | None, Parameter(name="--analysis", metavar="FOLDER", group="Analysis")] = None,
     gait_reference: Annotated[Path | None, Parameter(metavar="FILE", group="Analysis")] = None,
     figures: Figures = True,
-    session: Annotated[Session, Fields("subject operator date place protocol", group="Labels")],
+    session: Annotated[Session, Fields("operator date place protocol", subject="code", group="Labels")],
     overwrite: Overwrite = False,
 ) -> None:
     """One page of a reconstructed motion that opens in any browser.

@@ -14,7 +14,7 @@ from report_support import Page
 
 def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Any) -> None:
     path = tmp_path / "page.html"
-    labels = ("--subject", "P07", "--date", "2026-01-31", "--protocol", "jumps")
+    labels = ("--code", "P07", "--date", "2026-01-31", "--protocol", "jumps")
     done = cli.ok("report", reconstructed, "-o", path, *labels)
     assert str(path) in done.out
     page = Page(path.read_text(encoding="utf-8"))
