@@ -10,6 +10,7 @@ from rich.table import Table
 
 from rtof_kin.cli.options import (
     SOLVER,
+    Fields,
     Figures,
     File,
     Model,
@@ -28,6 +29,7 @@ from rtof_kin.core.environment import limit_threads, without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.setup.settings import ReconstructionTask
 
 if TYPE_CHECKING:
     from rtof_kin.data.gait_reference import GaitReference
@@ -304,7 +306,7 @@ def plan(
     draws: Annotated[int, Parameter(metavar="N")] = 3,
     search: bool = True,
     seed: Seed = 0,
-    task: Model,
+    task: Annotated[ReconstructionTask, Fields("model subject")],
     workers: Workers = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -343,7 +345,7 @@ def plan(
         check_replaceable(output, MARKER, overwrite)
     lifter = Lifter.load(task.model)
     with progress() as update:
-        protocol, setup = planned(str(what), lifter, update)
+        protocol, setup = planned(str(what), lifter, update, task.person())
         found = predict(
             protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=workers, progress=update
         )

@@ -79,6 +79,7 @@ def document(plan: Plan) -> Document:
     facts = {
         "advice": list(advice(plan)),
         "protocol": asdict(plan.protocol),
+        "subject": None if plan.setup.subject is None else plan.setup.subject.subject,
         "draws": plan.prediction.draws,
         "seen_share": round(plan.seen, 4),
         "angles": rows,

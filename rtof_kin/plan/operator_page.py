@@ -41,7 +41,8 @@ def write_instructions(
     seconds = float(setup.poses.times[-1] - setup.poses.times[0])
     places = sensor_places(setup.skeleton, setup.sensors)
     steps = [*operator_steps(movement, framed, places, repetitions, seconds), *further]
-    title = f"Recording: {movement.name.replace('_', ' ')}"
+    who = f" of {setup.subject.subject}" if setup.subject is not None else ""
+    title = f"Recording{who}: {movement.name.replace('_', ' ')}"
     page = operator_page(title, movement, steps, drawing.read_text(encoding="utf-8"), doubts)
     write_text(folder / INSTRUCTIONS, page)
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body import kinematics
 from rtof_kin.body.motion_file import motion_path
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
@@ -20,10 +22,12 @@ from rtof_kin.formats.measurements_file import measurements_path, read_measureme
 from rtof_kin.plan.movements import MOVEMENTS, movement
 from rtof_kin.plan.protocol import DETECTORS, Protocol, place_of
 from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.person import Person
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.subject import Estimate, Subject, sd_of
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.simulate import SimulationSettings, another_person, simulate
 from rtof_kin.vision.detections import Detections
@@ -44,6 +48,9 @@ class Setup:
     detector: str = _MEASURED  #: One of `protocol.DETECTORS`
     error_factor: float = 1.0  #: [1] on the errors in the image of the measured detector
     floor_height: float | None = None  #: [m] z of a flat floor that the recording declares; None if it declares none
+    subject: Subject | None = None
+    """The person's file, by whose standard deviations bones and posture are wrong; without one bones are right and the
+    posture is unknown."""
 
     @property
     def mode(self) -> Mode:
@@ -77,9 +84,28 @@ class Setup:
             name="plan",
         )
         recording = replace(recording, floor_height=self.floor_height)
+        if self.subject is not None:
+            silent = recording.with_facts(joint_offsets=np.empty((0, 3)), height=self.skeleton.height)
+            recording = silent.with_facts(**self._drawn(self.subject, seed).informed(silent))
         if self.detector == _MEASURED:
             return recording
         return replace(recording, keypoints=_as_found_by(self.detector, recording.video))
+
+    def _drawn(self, subject: Subject, seed: int) -> Subject:
+        """Return a person's file as it may be of the person of a draw, with errors of its standard deviations."""
+        rng, names = np.random.default_rng([seed, 3]), self.skeleton.names
+        R = np.tile(np.eye(3), (2, len(names), 1, 1))
+        still = kinematics.positions(self.skeleton.parents, self.skeleton.joint_offsets, np.zeros((2, 3)), R)
+        t_pose = PoseSequence(self.poses.times[:2], still, R, names)
+        t_pose = another_person(np.random.default_rng([seed, 1]), t_pose, self.skeleton)
+        turns = np.degrees(so3.log(kinematics.local_rotations(self.skeleton.parents, t_pose.R_world_bone)[0]))
+        true = {"joint_offsets_m": self.skeleton.joint_offsets, "posture_deg": turns}
+        known = dict[str, Estimate[Any]]()
+        for path, one in subject.known.items():
+            field, _, joint = path.partition(".")
+            if field in true and (sd := sd_of(path, one)):
+                known[path] = Estimate[Any](value=true[field][names.index(joint)] + rng.normal(0, sd, 3), sd=sd)
+        return subject.with_known(known, {})
 
 
 def _as_found_by(detector: str, keypoints: KeypointSequence) -> KeypointSequence:
@@ -100,7 +126,7 @@ _LONGEST: Final = 30.0  #: [s] of a movement that are planned with
 
 
 def planned(
-    what: str | Path, lifter: LifterLike | None = None, progress: Progress | None = None
+    what: str | Path, lifter: LifterLike | None = None, progress: Progress | None = None, subject: Subject | None = None
 ) -> tuple[Protocol, Setup]:
     """Return the protocol and the setup of what a plan is asked for.
 
@@ -108,6 +134,7 @@ def planned(
         what: a protocol's TOML file; the name of a movement of the library, recorded by a usual camera;
             the folder of a recording, or the output of `reconstruct`, planned as it was recorded.
         lifter, progress: as for `reconstruct`, for a recording.
+        subject: file of the person, whose bones and height are planned with.
 
     Raises:
         InvalidInputError: no camera filmed the recording, or it has no complete frame.
@@ -116,37 +143,45 @@ def planned(
     path = Path(what)
     if path.is_file() and path.suffix == ".toml" and path.name != INDEX:
         protocol = Protocol.read(path)
-        return protocol, setup_of(protocol, lifter, progress)
+        return protocol, setup_of(protocol, lifter, progress, subject)
     folder = path.parent if path.name == INDEX else path
     if not folder.is_dir():
         if str(what) not in MOVEMENTS:
             raise UnknownNameError("file, folder or movement", [str(what)], tuple(MOVEMENTS))
         protocol = Protocol(str(what), any_camera=True)
-        return protocol, setup_of(protocol, lifter)
-    poses, skeleton, camera, sensors, floor = _moved(folder, lifter, progress)
+        return protocol, setup_of(protocol, lifter, subject=subject)
+    poses, skeleton, camera, sensors, floor = _moved(folder, lifter, progress, subject)
     if camera is None:
         raise InvalidInputError(f"plan: no camera filmed {folder}; name it as movement in a protocol's file")
     protocol = Protocol(str(folder), camera=place_of(camera, poses, poses.rate_hz), sensors=sensors)
-    return protocol, Setup(poses, skeleton, camera, sensors, floor_height=floor)
+    return protocol, Setup(poses, skeleton, camera, sensors, floor_height=floor, subject=subject)
 
 
-def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Progress | None = None) -> Setup:
+def setup_of(
+    protocol: Protocol,
+    lifter: LifterLike | None = None,
+    progress: Progress | None = None,
+    subject: Subject | None = None,
+) -> Setup:
     """Return the setup of a protocol with the name of a movement, or the folder of a motion or recording."""
     if protocol.movement in MOVEMENTS:
         skeleton = SkeletonModel.default()
-        skeleton = skeleton if protocol.height_m is None else skeleton.with_height(protocol.height_m)
+        known = None if subject is None or subject.height_m is None else subject.height_m.value
+        if (height := protocol.height_m or known) is not None:
+            skeleton = skeleton.with_height(height)
+        if subject is not None and subject.skeleton == skeleton.name:
+            skeleton = skeleton.with_offsets({joint: one.value for joint, one in subject.joint_offsets_m.items()})
         poses = movement(protocol.movement, skeleton, protocol.repetitions, protocol.camera.rate_hz)
     elif Path(protocol.movement).is_dir():
-        poses, skeleton, *_ = _moved(Path(protocol.movement), lifter, progress)
+        poses, skeleton, *_ = _moved(Path(protocol.movement), lifter, progress, subject)
     else:
         raise UnknownNameError("movement", [protocol.movement], tuple(MOVEMENTS))
-    return Setup(
-        poses, skeleton, protocol.camera.camera(poses), protocol.sensors, protocol.detector, protocol.error_factor
-    )
+    camera = protocol.camera.camera(poses)
+    return Setup(poses, skeleton, camera, protocol.sensors, protocol.detector, protocol.error_factor, subject=subject)
 
 
 def _moved(
-    folder: Path, lifter: LifterLike | None, progress: Progress | None
+    folder: Path, lifter: LifterLike | None, progress: Progress | None, subject: Subject | None
 ) -> tuple[PoseSequence, SkeletonModel, Camera | None, tuple[str, ...], float | None]:
     """The movement of a recording, which is reconstructed, or of a motion; the camera that filmed it, usual names of
     the sensors worn, and z of a flat floor, m, where it is declared.
@@ -154,6 +189,9 @@ def _moved(
     camera, joints, floor = None, tuple[str, ...](), None
     if (folder / INDEX).exists():
         recording = Recording.load(folder)
+        if (person := Person.of(subject, recording)).doubt:
+            raise InvalidInputError(f"plan: {person.doubt}")
+        recording = person.informed(recording).whole()
         motion = reconstruct(recording, lifter=lifter, progress=progress).motion
         camera = None if recording.keypoints is None else recording.keypoints.camera
         joints = () if recording.calibration is None else recording.calibration.joints
