@@ -8,6 +8,7 @@ The tables of the paper have the measured figures beside the published ones.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +18,9 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
@@ -64,6 +67,12 @@ _NAMES: Final = (
 SIXTEEN = tuple(_NAMES.split())  #: Joints of the multi-view papers (GeoFuse and those after it)
 SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 """Cameras of the multi-view papers, and their step between scored frames."""
+POSTURES: Final = {
+    "take": "of the first T-pose",
+    "person": "of the T-poses of the subject's other takes",
+    "none": "unknown",
+}
+"""Source of the neutral posture -> in words."""
 _LOW_PASS_HZ: Final = 6.0
 _KNEE: Final = "RightLeg"
 
@@ -90,8 +99,9 @@ class TotalCaptureProtocol(CameraProtocol):
     modes: tuple[str, ...] = CAMERA_MODES  #: Stages to measure
     lifter: Path | None = None  #: A file, or the name of a shipped one; the shipped default where not given
     calibrate: bool = False  #: Whether every take is self-calibrated first; the paper does not
-    posture: bool = True
-    """Whether the subject's neutral posture is taken from the take's first T-pose, as bone lengths are."""
+    posture: tuple[str, ...] = ("take",)
+    """Where the subject's neutral posture is from: take: its first T-pose, as bone lengths; person: the T-poses of the
+    subject's other takes; none. Of several the first is that of all tables, and one table compares them."""
     studies: bool = True  #: Whether fragment length and k_V are varied too
     seed: int = 0  #: Seed of the noise
     save: Path | None = None  #: Folder for the motions of every take, camera and mode, if wanted
@@ -101,13 +111,14 @@ class TotalCaptureProtocol(CameraProtocol):
         object.__setattr__(self, "takes", tuple(name.lower() for name in self.takes))
         if len(self.sensors) == 1:
             object.__setattr__(self, "sensors", SENSOR_SETS.get(self.sensors[0], self.sensors))
-        for name in ("subjects", "takes", "cameras", "modes"):
+        for name in ("subjects", "takes", "cameras", "modes", "posture"):
             if not getattr(self, name):
                 raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
         indices_of("take", self.takes, sorted({take for _, take in (*TRAIN, *TEST)}))
         indices_of("mode", self.modes, CAMERA_MODES)
         indices_of("space", [self.space], SPACES)
+        indices_of("posture", self.posture, [*POSTURES])
         indices_of("sensor", self.sensors, list(SkeletonModel.default().sensors))
         indices_of("camera", [str(c) for c in self.cameras], [str(c) for c in range(1, 9)])
         if not self.sensors and {"sf2", "rtof"} & set(self.modes):
@@ -154,6 +165,28 @@ def _take(root: Path, subject: str, name: str) -> Take:
     return TotalCapture(root).take(subject, name)
 
 
+@lru_cache(maxsize=1)
+def _postures(root: Path, subject: str) -> dict[str, NeutralPosture]:
+    """Return the neutral posture of a subject in each take that can be read and has a T-pose."""
+    data, found = TotalCapture(root), dict[str, NeutralPosture]()
+    for _, name in (key for key in data.takes if key[0] == subject):
+        with suppress(FileFormatError):
+            if (posture := data.take(subject, name).posture) is not None:
+                found[name] = posture
+    return found
+
+
+def _posture(root: Path, take: Take, source: str) -> NeutralPosture | None:
+    """Return the neutral posture of a subject by its source, of `POSTURES`; None where it is unknown."""
+    if source != "person":
+        return take.posture if source == "take" else None
+    others = [own for name, own in _postures(root, take.subject).items() if name != take.name]
+    if not others:
+        return None
+    mean = so3.nearest_rotation(np.mean([own.R_parent_bone for own in others], axis=0))
+    return NeutralPosture(others[0].joints, so3.to_quat_wxyz(mean))
+
+
 def _reference(take: Take) -> JobResult:
     """Score the calibration rows and check the files of a take."""
     truth, skeleton = take.truth, take.skeleton
@@ -191,8 +224,12 @@ def _seen_by(protocol: TotalCaptureProtocol, take: Take, job: Job, number: int) 
         noise_px=protocol.noise_px,
         seed=protocol.seed,
         sensors=() if absent else protocol.sensors,
-        posture=protocol.posture,
+        posture=False,
     )
+    first, *others = protocol.posture
+    postures = {source: _posture(protocol.root, take, source) for source in protocol.posture}
+    notes += [f"posture {k}: no T-pose, so unknown" for k, own in postures.items() if own is None and k != "none"]
+    recording = replace(recording, posture=postures[first])
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None
     settings = ReconstructionSettings(fragment=None if protocol.space == "joint" else CartesianSettings())
@@ -202,6 +239,11 @@ def _seen_by(protocol: TotalCaptureProtocol, take: Take, job: Job, number: int) 
     for mode, result in results.items():
         methods[mode] = _scores(result.stages[mode], truth, skeleton)
         save_motion(result, mode, job.motion_file(mode))
+    for source in others:
+        known = replace(recording, posture=postures[source])
+        again = reconstructions(known, protocol.modes, protocol.lifter, settings, protocol.calibrate)
+        for mode, result in again.items():
+            methods[posture_name(mode, source)] = _scores(result.stages[mode], truth, skeleton)
     if protocol.studies and "rtof" in results:
         methods |= _studies(results["rtof"], truth)
     checks = check_camera(number)
@@ -228,6 +270,11 @@ def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str,
         solution = solver.solve(result.stages["sf2"], result.keypoints, result.bone_imus)
         rows[name] = _scores(solution.poses, truth, skeleton) | {"seconds": perf_counter() - began}
     return rows
+
+
+def posture_name(mode: str, source: str) -> str:
+    """Return the name of a mode with another posture than that of all tables."""
+    return f"{mode}, posture {source}"
 
 
 def length_name(N: int) -> str:
@@ -271,6 +318,8 @@ def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
     """Return every table for which something was measured, and one of missing and suspicious data."""
     rows = list(rows_of(outcome))
     tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
+    if len(protocol.posture) > 1:
+        tables.append(_by_posture(protocol, rows))
     if protocol.studies and "rtof" in protocol.modes:
         tables += _studied(rows)
     state = _state_of_data(protocol, outcome)
@@ -327,6 +376,17 @@ def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
         notes = (*notes, "The paper's ablation has exact ground-truth 2D; this run has not.")
     title = "Total Capture, ablation: what each stage gives"
     return _table("ablation", title, columns, [*ours, *calibration], notes)
+
+
+def _by_posture(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the comparison of the sources of the neutral posture."""
+    columns = {"mode": 0, "neutral posture": 0, "root-relative [mm]": 1, "absolute [mm]": 1, "joint angle [deg]": 1}
+    figures, lines = ("mpjpe_rr_mm", "mpjpe_mm", "angle_deg"), list[tuple[Cell, ...]]()
+    for mode in protocol.modes:
+        for source in protocol.posture:
+            name = mode if source == protocol.posture[0] else posture_name(mode, source)
+            lines.append((mode, POSTURES[source], *_means(rows, name, figures)))
+    return _table("posture", "Total Capture: neutral posture", columns, lines, _notes(protocol, rows))
 
 
 def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
@@ -422,7 +482,7 @@ def _notes(protocol: TotalCaptureProtocol, rows: list[Row]) -> tuple[str, ...]:
         f"all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: {keypoints}; 21 joints, root included; "
         f"solved in {protocol.space} space, the sensors' calibration "
         f"{'found from each take itself' if protocol.calibrate else 'as the files have it'}, neutral posture "
-        f"{'of the first T-pose' if protocol.posture else 'unknown'}; lifter: {lifter}. Mode lift is scored with the "
+        f"{POSTURES[protocol.posture[0]]}; lifter: {lifter}. Mode lift is scored with the "
         "joints of the network; its saved motions have rigid bones."
     )
     return (setup, *_incomplete(protocol, rows))
