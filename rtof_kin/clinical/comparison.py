@@ -26,7 +26,7 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
-from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change, error_of
+from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change, error_of, shared_of
 from rtof_kin.clinical.comparison_samples import Alignment, Pair, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
@@ -109,6 +109,7 @@ class Compared:
     own_export: bool = False  #: Whether such a table is of this package's own model, so that its zeros are the same
     notes: tuple[str, ...] = ()  #: What its gait cycles and angles do not show, and why
     not_gait: str = ""  #: Why its strides are not those of walking; '' if they are
+    made: tuple[object, ...] = ()  #: How it was made, see `shared_of`
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,7 @@ class Comparison:
     shift: float = 0.0  #: [s] added to the times of B
     alignment: Alignment | None = None  #: Agreement of the two clocks; None without a common clock
     kind: str = ""  #: Kind of the repetitions
+    shared: float = 0.0  #: Share of the variance of the bands that both have in common
 
     @property
     def changed(self) -> tuple[AngleComparison, ...]:
@@ -226,7 +228,7 @@ def sides_of(one: Compared) -> tuple[Compared, Compared]:
         own = one.angles.select([angle for angle in one.angles.names if angle.startswith(f"{name}_")])
         rows = tuple(replace(row, name=row.name.removeprefix(f"{name}_")) for row in own.rows)
         strides = {"": one.strides.get(name, [])}
-        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides)
+        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides, made=())
 
     return side("left"), side("right")
 
@@ -267,9 +269,11 @@ def compare(
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
     positive = {row.name: row.positive for row in a.angles.rows}
-    angles = _tested(pairs, by, axis, positive)
+    shared = shared_of((a.made, b.made)) if by in ("cycle", "repetition") else 0.0
+    angles = _tested(pairs, by, axis, positive, shared)
     ordered = tuple(sorted(angles, key=lambda one: -abs(one.changes[0].difference)))
-    return Comparison(a, b, by, axis, ordered, left_out, shift, alignment, kind if by == "repetition" else "")
+    kind = kind if by == "repetition" else ""
+    return Comparison(a, b, by, axis, ordered, left_out, shift, alignment, kind, shared)
 
 
 def common_angles(a: Compared, b: Compared) -> tuple[str, ...]:
@@ -332,7 +336,9 @@ def _span(one: Compared) -> str:
     return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
 
 
-def _tested(pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str]) -> list[AngleComparison]:
+def _tested(
+    pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str], shared: float
+) -> list[AngleComparison]:
     """Differences of all angles, tested together."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
     changes = []
@@ -341,7 +347,8 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping
         for measure in measures:
             a, b = (getattr(one, measure)() for one in (pair.a, pair.b))
             tested = repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE
-            changes.append(change(measure, a.mean, b.mean, error_of(a, b, kind), tested))
+            error, apart = (error_of(a, b, kind, share) for share in (shared, 0.0))
+            changes.append(change(measure, a.mean, b.mean, error, tested, apart))
     found = iter(adjusted(changes))
     out = []
     for pair in pairs:

@@ -1,7 +1,7 @@
 """Differences B - A between two motions with stated errors, and their tests (docs/compare.md, docs/follow.md).
 
-The variance of a difference is the sum of these parts, as if the errors of A and B were independent. Of one recording
-they are not; those that both share cancel, and it is too large.
+The variance of a difference is the sum of these parts, as if the errors of A and B were independent, less what cancels
+of two recordings of one person that were made alike (`SHARED`). Of one recording more cancels, and it is too large.
 
 - The stated error of each mean: the mean of the standard deviations s(t) over T frames or strides, which by Cauchy and
   Schwarz never claims too little, whatever the correlation of the error. Of a range: `range_of_motion.range_deviation`.
@@ -25,7 +25,7 @@ one false "changed" among them is at most `LEVEL`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -36,6 +36,10 @@ from scipy import optimize, special, stats
 
 from rtof_kin.core.array_types import Array
 
+SHARED: Final = 0.5
+"""Share of the variance of an angle's stated errors that two recordings of a person have in common, who is known by a
+file with the same bones and posture in both, with the same sensors, detector and settings. What is constant in the
+method, the person and the file's errors is shared; mounting, camera and noise are not (docs/follow.md)."""
 _NODES: Final = 150  # of the average, evenly spaced in log x
 _TAIL: Final = 1e-13  # probability left out at either end
 
@@ -47,6 +51,7 @@ class MixedError:
     known: float = 0.0  #: Known variance, unit^2
     estimated: float = 0.0  #: Estimated variance, unit^2
     dof: float = np.inf  #: Degrees of freedom of `estimated`
+    shared: float = 0.0  #: Share of `known` that another value like it has in common, which cancels in their difference
 
     @property
     def sigma(self) -> float:
@@ -61,7 +66,7 @@ class MixedError:
     @property
     def mdc95(self) -> float:
         """Minimal detectable change between two values with this error, of this measure alone; NaN without one."""
-        return MixedError(2 * self.known, 2 * self.estimated, self.dof).half_width(LEVEL)
+        return MixedError(2 * (1 - self.shared) * self.known, 2 * self.estimated, self.dof).half_width(LEVEL)
 
     def p(self, difference: float) -> float:
         """Return the two-sided p-value of a difference, in the unit of the error."""
@@ -142,6 +147,10 @@ class Change:
     p_adjusted: float = float("nan")  #: Holm's, over all tests of the comparison
     detectable: float = float("nan")
     """[rad] a difference of this size is called changed whatever the other angles show."""
+    independent: MixedError | None = (
+        None  #: Of the difference, had A and B no errors in common; None where they have none
+    )
+    detectable_independent: float = float("nan")  #: [rad] `detectable`, had they none; NaN where they have none
 
     @property
     def sigma(self) -> float:
@@ -167,17 +176,33 @@ class Change:
         return Verdict.CHANGED if self.p_adjusted <= LEVEL else Verdict.NOT_SHOWN
 
 
-def change(measure: str, a: float, b: float, error: MixedError, tested: bool = True) -> Change:
+def change(
+    measure: str, a: float, b: float, error: MixedError, tested: bool = True, independent: MixedError | None = None
+) -> Change:
     """Return a difference b - a with its test, not yet adjusted for others; not tested if nothing states its error."""
     if not error.sigma > _NO_SIZE:
         error = MixedError()
     tested &= bool(np.isfinite(error.sigma + b - a))
-    return Change(measure, a, b, error, error.p(b - a) if tested else float("nan"))
+    p = error.p(b - a) if tested else float("nan")
+    return Change(measure, a, b, error, p, independent=None if independent == error else independent)
 
 
-def error_of(a: Measured, b: Measured, repeats: Repeats) -> MixedError:
-    """Return the error of the difference of two means; repeats: what their values are."""
-    bands, own = a.band_sigma**2 + b.band_sigma**2, [one for one in (a, b) if len(one.values) > 1]
+def shared_of(made: Iterable[tuple[object, ...]]) -> float:
+    """Return the share of the variance of their angles' errors that recordings have in common, by how each was made:
+    person and constants, sensors, detector, settings; empty where the person is not known.
+    """
+    ways = {*made}
+    return SHARED if len(ways) == 1 and all(ways) else 0.0
+
+
+def bands_of(a: Measured, b: Measured, shared: float = 0.0) -> float:
+    """Return the variance that bands state of the difference of two means; shared: share of it that both have."""
+    return a.band_sigma**2 + b.band_sigma**2 - 2 * shared * a.band_sigma * b.band_sigma
+
+
+def error_of(a: Measured, b: Measured, repeats: Repeats, shared: float = 0.0) -> MixedError:
+    """Return the error of the difference of two means; repeats: what their values are; shared: as for `bands_of`."""
+    bands, own = bands_of(a, b, shared), [one for one in (a, b) if len(one.values) > 1]
     if repeats == "none" or not own:
         return MixedError(bands)
     if repeats == "paired":
@@ -195,6 +220,9 @@ def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
     tested = [i for i, found in enumerate(changes) if np.isfinite(found.p)]
     out, largest = list(changes), 0.0
     for rank, i in enumerate(sorted(tested, key=lambda i: changes[i].p)):
-        largest = max(largest, min(1.0, (len(tested) - rank) * changes[i].p))
-        out[i] = replace(changes[i], p_adjusted=largest, detectable=changes[i].error.half_width(LEVEL / len(tested)))
+        one, level = changes[i], LEVEL / len(tested)
+        largest = max(largest, min(1.0, (len(tested) - rank) * one.p))
+        apart = float("nan") if one.independent is None else one.independent.half_width(level)
+        detectable = one.error.half_width(level)
+        out[i] = replace(one, p_adjusted=largest, detectable=detectable, detectable_independent=apart)
     return tuple(out)

@@ -8,15 +8,17 @@ verdict is at most 5 %. Trial t of visit v, one of n_v, gives (docs/follow.md)
     y_vt = mu_v + a + c_v + m_vt + w_vt
 
 with the true value mu_v, the error a that all visits share, which cancels in a change, c_v that the trials of a visit
-share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together; all
-of it counts as c, which claims least. Trials vary within visits by the variance W^2 of m + w. The error of a visit's
-mean is ::
+share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together. Of
+a person who is known by the same constants in all trials (`shared_of`), the share r = `SHARED` of it counts as a; else
+all counts as c, which claims least (r = 0). Trials vary within visits by the variance W^2 of m + w. The variances of a
+visit's mean and of a change are ::
 
-    V_v = B_v^2 + W^2 / n_v
+    V_v = B_v^2 + W^2 / n_v        B_a^2 + B_b^2 - 2 r B_a B_b + W^2 (1 / n_a + 1 / n_b)
 
-and without repeated trials B_v^2. The minimal detectable change of a standard error of measurement (SEM) is
-MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59, 2006), with Student's
-t in place of 1.96 where the SEM is estimated from few trials, and `MixedError` where it is partly so.
+and without repeated trials those without W. The minimal detectable change of a standard error of measurement (SEM) is
+MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59, 2006), of bands times
+sqrt(1 - r), with Student's t in place of 1.96 where the SEM is estimated from few trials, and `MixedError` where it is
+partly so.
 """
 
 from __future__ import annotations
@@ -29,7 +31,17 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, MixedError, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import (
+    LEVEL,
+    Change,
+    Measured,
+    MixedError,
+    Verdict,
+    adjusted,
+    bands_of,
+    change,
+    shared_of,
+)
 from rtof_kin.clinical.visits import (
     BETTER,
     BETTERS,
@@ -61,11 +73,12 @@ class MeasurementErrors:
     both: MixedError
     """Of the value of a visit: all of these; of a typical visit (mean variance over visits)."""
 
-    def of_means(self, *visits: Measured) -> MixedError:
+    def of_means(self, *visits: Measured, shared: float = 0.0) -> MixedError:
         """Return the error of the difference of the means of two visits, or of the mean of one; the spread of both is
-        estimated by one mean square.
+        estimated by one mean square. shared: share of the bands' variance that two visits have in common.
         """
-        bands, share = sum(one.band_sigma**2 for one in visits), sum(1 / len(one.values) for one in visits)
+        bands = bands_of(*visits, shared) if len(visits) == 2 else visits[0].band_sigma ** 2
+        share = sum(1 / len(one.values) for one in visits)
         return MixedError(bands, share * self.trials.estimated, self.trials.dof)
 
     def of_sum(self, a: Measured, b: Measured) -> float:
@@ -73,14 +86,15 @@ class MeasurementErrors:
         return float(np.sqrt(self.of_means(a, b).sigma ** 2 + 2 * a.band_sigma * b.band_sigma))
 
 
-def measurement_errors(visits: Sequence[Measured]) -> MeasurementErrors:
+def measurement_errors(visits: Sequence[Measured], shared: float = 0.0) -> MeasurementErrors:
     """Return the standard errors of one measure; visits: the values of the trials of each visit, at least one, and the
-    mean standard deviation that the bands of a visit state (0: they state none).
+    mean standard deviation that the bands of a visit state (0: they state none); shared: as for `of_means`.
     """
     within, dof = mean_square_within([one.values for one in visits])
     bands = float(np.mean([one.band_sigma**2 for one in visits]))
     spread = float(np.mean([within / len(one.values) for one in visits]))
-    return MeasurementErrors(MixedError(bands), MixedError(0.0, within, dof), MixedError(bands, spread, dof))
+    own, both = MixedError(bands, shared=shared), MixedError(bands, spread, dof, shared)
+    return MeasurementErrors(own, MixedError(0.0, within, dof), both)
 
 
 def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
@@ -207,6 +221,7 @@ class FollowUp:
     measures: tuple[Followed, ...]
     incomparable: tuple[str, ...]  #: What makes visits not comparable, in sentences, the gravest first
     left_out: Mapping[str, str]  #: Trials and measures that are left out -> why
+    shared: float = 0.0  #: Share of the variance of an angle's bands that all visits have in common
 
     @property
     def last(self) -> int:
@@ -264,14 +279,19 @@ def follow_up(
         series[measure] = own
     if not series:
         raise InvalidInputError("follow: no measure is observed in the baseline and in another visit")
-    followed = follow_measures(series, baseline, repeated, better or {})
     unlike = [f"{name}: {reason}" for name, reason in out.items() if name not in known]
     causes = (*incomparable(visits, baseline), *unlike)
-    return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out)
+    shared = 0.0 if causes else shared_of(one.setup.made for visit in visits for one in visit.trials)
+    followed = follow_measures(series, baseline, repeated, better or {}, shared)
+    return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out, shared)
 
 
 def follow_measures(
-    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated, better: Mapping[str, Better]
+    series: Mapping[Measure, Sequence[Measured | None]],
+    baseline: int,
+    repeated: Repeated,
+    better: Mapping[str, Better],
+    shared: float = 0.0,
 ) -> tuple[Followed, ...]:
     """Return the errors and changes of measures whose values are known, tested together.
 
@@ -280,9 +300,10 @@ def follow_measures(
             None where it was not observed, but in the baseline.
         baseline: index of the visit that the others are compared with.
         better: measure -> direction that is better, beside `BETTER`.
+        shared: share of the variance of an angle's bands that all visits have in common.
     """
     directions = BETTER | dict(better)
-    followed = [_followed(measure, own, baseline, repeated, directions) for measure, own in series.items()]
+    followed = [_followed(measure, own, baseline, repeated, directions, shared) for measure, own in series.items()]
     tested = iter(adjusted([change for one in followed for change in one.changes if change is not None]))
     return tuple(
         replace(one, changes=tuple(None if change is None else next(tested) for change in one.changes))
@@ -331,15 +352,21 @@ def _of_visit(trials: Sequence[Mapping[Measure, Measured]], measure: Measure, re
 
 
 def _followed(
-    measure: Measure, own: Sequence[Measured | None], baseline: int, repeated: Repeated, better: Mapping[str, Better]
+    measure: Measure,
+    own: Sequence[Measured | None],
+    baseline: int,
+    repeated: Repeated,
+    better: Mapping[str, Better],
+    shared: float,
 ) -> Followed:
+    shared = 0.0 if measure.is_gait else shared
     if measure.unit == "deg" and not measure.name.endswith("_range") and (first := own[baseline]) is not None:
         middle = np.median(first.values)  # values within half a turn of the baseline
         turns = [np.round((one.values - middle) / _TURN) if one is not None else 0.0 for one in own]
         own = [one and replace(one, values=one.values - _TURN * turn) for one, turn in zip(own, turns, strict=True)]
     widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
     own = [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
-    errors = measurement_errors([one for one in own if one is not None])
+    errors = measurement_errors([one for one in own if one is not None], shared)
     why_not, first = "", own[baseline]
     if measure.is_gait and not (repeated is Repeated.TRIALS and np.isfinite(errors.trials.dof)):
         why_not = (
@@ -353,6 +380,6 @@ def _followed(
         if number == baseline or one is None or first is None:
             changes.append(None)
             continue
-        found = change(measure.name, first.mean, one.mean, errors.of_means(first, one), not why_not)
-        changes.append(found)
+        error, apart = (errors.of_means(first, one, shared=share) for share in (shared, 0.0))
+        changes.append(change(measure.name, first.mean, one.mean, error, not why_not, apart))
     return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)

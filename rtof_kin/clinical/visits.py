@@ -64,6 +64,13 @@ class Setup:
     """[rad] mean heading of the person, from the direction in which the camera looks; NaN if it varies."""
     certified: float = float("nan")  #: [deg] error of a segment without its sensor, by its certificate
     failed: str = ""  #: Headline of the audit where its verdict is 'fail'
+    person: tuple[str, ...] = ()  #: Identifier of the person's file and digest of bones and posture; empty without one
+
+    @property
+    def made(self) -> tuple[object, ...]:
+        """What recordings with errors in common have in common, see `shared_of`; empty where the person is unknown."""
+        how = (self.person, self.mode, self.software, self.model, self.sensors, self.points, self.cameras)
+        return how if self.person else ()
 
 
 @dataclass(frozen=True)

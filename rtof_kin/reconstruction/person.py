@@ -16,6 +16,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration, bone_groups
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording, RecordingSource
@@ -63,6 +64,21 @@ class Person:
             return None
         value, sigma = np.array([ankle.value - _ANKLE]), np.array([sd_of("ankle_height_m", ankle)])
         return SelfCalibration((Quantity("ankle height", "feet", value, sigma, sigma, 1.0),))
+
+    def used(self, facts: Recording) -> dict[str, Any] | None:
+        """Return whose file it is, a digest of bones, posture and ankles of an informed recording, and their standard
+        deviations, m and deg; None without a file.
+        """
+        if self.subject is None:
+            return None
+        posture = None if (own := facts.posture) is None else (own.joints, own.quat_wxyz.tolist(), own.sigma.tolist())
+        ankle = None if (height := self.subject.ankle_height_m) is None else height.value
+        found: dict[str, Any] = {"subject": self.subject.subject}
+        found["constants_sha256"] = fingerprint(facts.joint_offsets.tolist(), posture, ankle)
+        for field_ in ("joint_offsets_m", "posture_deg"):
+            if sds := [sd_of(path, one) for path, one in self.subject.known.items() if path.startswith(field_)]:
+                found[f"sd_{field_}"] = float(np.sqrt(np.mean(np.square(sds))))
+        return found
 
     def learning(
         self, parts: Iterable[Reconstruction], given: Recording, body: SkeletonModel, source: str

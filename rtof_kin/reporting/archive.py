@@ -124,6 +124,7 @@ def _summary(whole: dict[str, Any], names: re.Pattern[str]) -> str:
     kept = {field: whole[field] for field in _SUMMARY.split() if field in whole}
     inputs = kept.get("inputs") or {}
     kept["inputs"] = {field: inputs[field] for field in _INPUTS.split() if field in inputs}
+    (kept.get("run") or {}).pop("person", None)
     settings = kept.get("settings") or {}
     if settings.get("lifter") not in (*LIFTERS, None):
         settings["lifter"] = "own"

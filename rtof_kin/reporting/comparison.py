@@ -8,7 +8,7 @@ the statistical parametric mapping, on request.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -44,6 +44,7 @@ from rtof_kin.reporting.document import (
 )
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+from rtof_kin.reporting.visit_folders import setup_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -172,10 +173,10 @@ def read_compared(path: str | Path) -> Compared:
     if path.suffix.lower() in SUFFIXES:
         return _other_system(path)
     file = motion_path(path)
-    recording, mode, certified = "", "", tuple[str, ...]()
+    recording, mode, certified, made = "", "", tuple[str, ...](), tuple[object, ...]()
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
-        recording, mode = found.recording, found.mode
+        recording, mode, made = found.recording, found.mode, setup_of(found).made
         if found.certificate is not None:
             certified = found.certificate.sentences[:1]
     with MotionReader(file) as reader:
@@ -183,7 +184,7 @@ def read_compared(path: str | Path) -> Compared:
     named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
     name = named.name + (f" ({mode})" if mode else "")
     sides = clinical.compared(name, motion, recording)
-    return replace(sides, notes=(*sides.notes, *certified))
+    return replace(sides, notes=(*sides.notes, *certified), made=made)
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
@@ -226,7 +227,23 @@ def _opening(found: Comparison, why: str) -> list[str]:
     meaning = ", \u00b1 half of the 95 % interval of the angle alone" if stated else ""
     lines.append(f"A is {found.a.name}, B is {found.b.name}; differences are B - A{meaning}.")
     lines.append(_axis(found) + (f" Chosen because {why}." if why else ""))
-    return [*lines, *_changes(found)]
+    return [*lines, *_changes(found), *shared_line(found.shared, (c for one in found.angles for c in one.changes))]
+
+
+def shared_line(shared: float, changes: Iterable[Change | None]) -> list[str]:
+    """Return by how much errors that recordings of a known person share lower the detectable change; empty where none
+    are shared.
+    """
+    both = [(c.detectable, c.detectable_independent) for c in changes if c is not None]
+    sizes = [pair for pair in both if np.isfinite(pair).all()]
+    if not (shared and sizes):
+        return []
+    now, apart = (degrees(float(np.median(own))) for own in zip(*sizes, strict=True))
+    return [
+        "All were made with the same bones and posture of the person's file, so that "
+        f"{100 * shared:.0f} % of the variance of an angle's stated error is shared and cancels: smallest detectable "
+        f"change {now} deg (median of {len(sizes)}); of independent recordings it would be {apart} deg."
+    ]
 
 
 def _cautions(found: Comparison) -> list[str]:
@@ -467,6 +484,7 @@ def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
         "interval_low_deg": low,
         "interval_high_deg": high,
         "detectable_deg": deg(change.detectable),
+        "detectable_independent_deg": deg(change.detectable_independent),
         "p": number(change.p),
         "p_holm": number(change.p_adjusted),
         **{name: None if errors is None else deg(getattr(errors, field)) for name, field in _SIZES.items()},

@@ -43,6 +43,8 @@ class Summary:
     mean_sigmas: tuple[float, float] | None = None
     """Mean standard deviations per axis of the joints, relative to the root and in world, m; NaN where
     unknown, None of a motion without covariances."""
+    person: tuple[str, ...] = ()
+    """Identifier in the person's file, and digest of the constants of the body that were used; empty without one."""
 
     @property
     def subject(self) -> dict[str, Any]:
@@ -80,9 +82,16 @@ def read_summary(path: str | Path) -> Summary:
             settings=known.get("settings"),
             certificate=None if data.get("certificate") is None else CertificateSummary(**data["certificate"]),
             mean_sigmas=sigmas,
+            person=_person(data.get("run")),
         )
     except (InvalidInputError, ValueError, TypeError, RecursionError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
+
+
+def _person(run: Any) -> tuple[str, ...]:
+    found = run.get("person") if isinstance(run, dict) else None
+    names = ("subject", "constants_sha256")
+    return tuple(str(found[name]) for name in names) if isinstance(found, dict) and all(map(found.get, names)) else ()
 
 
 def _check(name: str, value: Any) -> None:

@@ -181,10 +181,11 @@ def _trial(path: Path, visit: Path) -> Trial:
     with MotionReader(path) as reader:
         found = trial(visit.name if name == "." else name, reader)
         mode = reader.mode
-    return replace(found, setup=_setup(summary, mode, _view(found, measurements_path(path.parent))))
+    return replace(found, setup=setup_of(summary, mode, _view(found, measurements_path(path.parent))))
 
 
-def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
+def setup_of(summary: Summary | None, mode: str = "", view: float = math.nan) -> Setup:
+    """Return how a motion was recorded and reconstructed; view: of `Setup`, rad."""
     if summary is None:
         return Setup(mode=mode, view=view)
     inputs, session, settings, found = summary.inputs, summary.session, summary.settings or {}, summary.certificate
@@ -208,6 +209,7 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
         view=view,
         certified=math.nan if found is None or found.error_deg is None else found.error_deg,
         failed=overall.text if overall is not None and overall.grade is Grade.FAIL else "",
+        person=summary.person,
     )
 
 

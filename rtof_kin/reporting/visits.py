@@ -23,6 +23,7 @@ from rtof_kin.clinical.visits import Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, some
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
+from rtof_kin.reporting.comparison import shared_line
 from rtof_kin.reporting.document import (
     Badge,
     Cell,
@@ -172,7 +173,13 @@ def _opening(found: FollowUp) -> list[str]:
         if v not in (found.baseline, found.last):
             shown = [one for one in found.measures if one.changed(v)]
             lines.append(f"{visit.name}: {_listed(shown, v) or 'no change is shown'}.")
-    return lines
+    people = {one.setup.person for visit in found.visits for one in visit.trials}
+    if len(people) > 1 and len({person[:1] for person in people}) == 1:
+        lines.append(
+            "Not all trials were made with the same bones and posture of the person's file, so that no error is taken "
+            "as shared: reconstruct all of them with the file as it is now."
+        )
+    return lines + shared_line(found.shared, (one.changes[found.last] for one in found.measures))
 
 
 def _verdicts(found: FollowUp, visit: int, name: str) -> list[str]:
@@ -219,10 +226,12 @@ def reasoning(one: Followed, visit: int) -> str:
     if outcome is Outcome.NOT_SHOWN:
         needed = f"{value_text(one.measure, change.detectable)} {unit}"
         alone = value_text(one.measure, change.error.half_width(LEVEL))
+        apart = value_text(one.measure, change.detectable_independent)
+        apart = f"; of independent recordings it would be {apart} {unit}" if apart else ""
         mostly = value_text(one.measure, one.mostly(visit))
         return (
             f"{text}; smallest change that could be shown among all measures: {needed} (of this one alone "
-            f"{alone} {unit}), and a true change of {mostly} {unit} would be shown in 4 of 5 cases."
+            f"{alone} {unit}{apart}), and a true change of {mostly} {unit} would be shown in 4 of 5 cases."
         )
     p = "< 0.001" if change.p_adjusted < 0.001 else f"= {change.p_adjusted:.3f}"
     direction = f"{one.better} is better"
@@ -382,6 +391,7 @@ def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
         "interval_high": high,
         "outcome": None if visit == found.baseline else one.outcome(visit).value,
         "detectable": detectable,
+        "detectable_independent": None if change is None else size(change.detectable_independent),
         "shown_in_4_of_5": mostly,
         "p": number(tests[0]),
         "p_holm": number(tests[1]),
@@ -464,6 +474,7 @@ def _facts(found: FollowUp) -> dict[str, Any]:
         "level": LEVEL,
         "correction": "Holm, over all rows with a p",
         "comparable": not found.incomparable,
+        "shared": found.shared,
         "definitions": _definitions(found),
         "measures": [_measure_facts(found, one) for one in found.measures],
         "rows": table(found).records(),

@@ -186,6 +186,7 @@ def reconstruct_folder(
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
             "subject_sha256": None if task.subject is None else file_digest(task.subject),
+            "person": person.used(informed.facts),
         }
         how: Any = {
             "mode": mode,

@@ -167,6 +167,7 @@ def test_commands_of_an_earlier_version_are_named(cli: Any) -> None:
         done = cli(name, "a")
         assert (done.code, done.err) == (2, f"error: {name}: is now rtof-kin {now}")
         assert now.split()[0].removesuffix(",") in command_names()
+    assert "report --subject: is now --code;" in cli("report", "a", "--subject=P07").err
 
 
 def test_help_is_that_of_the_docstring(cli: Any) -> None:
