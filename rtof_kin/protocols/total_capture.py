@@ -70,7 +70,7 @@ SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 POSTURES: Final = {
     "take": "of the first T-pose",
     "person": "of the T-poses of the subject's other takes",
-    "none": "unknown",
+    "unknown": "unknown",
 }
 """Source of the neutral posture -> in words."""
 _LOW_PASS_HZ: Final = 6.0
@@ -101,7 +101,7 @@ class TotalCaptureProtocol(CameraProtocol):
     calibrate: bool = False  #: Whether every take is self-calibrated first; the paper does not
     posture: tuple[str, ...] = ("take",)
     """Where the subject's neutral posture is from: take: its first T-pose, as bone lengths; person: the T-poses of the
-    subject's other takes; none. Of several the first is that of all tables, and one table compares them."""
+    subject's other takes; unknown, or none. Of several the first is that of all tables, and one table compares them."""
     studies: bool = True  #: Whether fragment length and k_V are varied too
     seed: int = 0  #: Seed of the noise
     save: Path | None = None  #: Folder for the motions of every take, camera and mode, if wanted
@@ -111,7 +111,8 @@ class TotalCaptureProtocol(CameraProtocol):
         object.__setattr__(self, "takes", tuple(name.lower() for name in self.takes))
         if len(self.sensors) == 1:
             object.__setattr__(self, "sensors", SENSOR_SETS.get(self.sensors[0], self.sensors))
-        for name in ("subjects", "takes", "cameras", "modes", "posture"):
+        object.__setattr__(self, "posture", self.posture or ("unknown",))
+        for name in ("subjects", "takes", "cameras", "modes"):
             if not getattr(self, name):
                 raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
         indices_of("subject", self.subjects, SUBJECTS)
@@ -228,7 +229,7 @@ def _seen_by(protocol: TotalCaptureProtocol, take: Take, job: Job, number: int) 
     )
     first, *others = protocol.posture
     postures = {source: _posture(protocol.root, take, source) for source in protocol.posture}
-    notes += [f"posture {k}: no T-pose, so unknown" for k, own in postures.items() if own is None and k != "none"]
+    notes += [f"posture {k}: no T-pose, so unknown" for k, own in postures.items() if own is None and k != "unknown"]
     recording = replace(recording, posture=postures[first])
     truth, skeleton = recording.truth, recording.skeleton
     assert truth is not None

@@ -65,12 +65,12 @@ class Person:
         value, sigma = np.array([ankle.value - _ANKLE]), np.array([sd_of("ankle_height_m", ankle)])
         return SelfCalibration((Quantity("ankle height", "feet", value, sigma, sigma, 1.0),))
 
-    def used(self, facts: Recording) -> dict[str, Any] | None:
+    def used(self, facts: Recording) -> dict[str, Any]:
         """Return whose file it is, a digest of bones, posture and ankles of an informed recording, and their standard
-        deviations, m and deg; None without a file.
+        deviations, m and deg; nothing without a file.
         """
         if self.subject is None:
-            return None
+            return {}
         posture = None if (own := facts.posture) is None else (own.joints, own.quat_wxyz.tolist(), own.sigma.tolist())
         ankle = None if (height := self.subject.ankle_height_m) is None else height.value
         found: dict[str, Any] = {"subject": self.subject.subject}

@@ -174,7 +174,7 @@ def _opening(found: FollowUp) -> list[str]:
             shown = [one for one in found.measures if one.changed(v)]
             lines.append(f"{visit.name}: {_listed(shown, v) or 'no change is shown'}.")
     people = {one.setup.person for visit in found.visits for one in visit.trials}
-    if len(people) > 1 and len({person[:1] for person in people}) == 1:
+    if len(people) > 1 and len({person[0] for person in people if person}) == 1:
         lines.append(
             "Not all trials were made with the same bones and posture of the person's file, so that no error is taken "
             "as shared: reconstruct all of them with the file as it is now."

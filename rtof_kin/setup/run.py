@@ -186,8 +186,9 @@ def reconstruct_folder(
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
             "subject_sha256": None if task.subject is None else file_digest(task.subject),
-            "person": person.used(informed.facts),
         }
+        if used := person.used(informed.facts):
+            record["person"] = used
         how: Any = {
             "mode": mode,
             "lifter": task.lifter(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,11 +33,18 @@ def test_a_recording_makes_the_file_and_another_one_uses_it(short: Path, tmp_pat
     assert f"recording {digest[:8]}" in text
     assert take.name not in text
     cli.ok("reconstruct", short, "-o", tmp_path / "b", *options, "--update-subject").says("P07: nothing new in this")
+    person = json.loads((tmp_path / "b" / "summary.json").read_text())["run"]["person"]
+    assert (person["subject"], person["sd_joint_offsets_m"]) == ("P07", pytest.approx(0.01))
+    cli.ok("export", tmp_path / "b", tmp_path / "b.zip", "--to", "archive", "--recording", short)
+    with zipfile.ZipFile(tmp_path / "b.zip") as archive:
+        assert b"P07" not in archive.read("result/summary.json")
     silent = tmp_path / "silent"
     replace(take, joint_offsets=None, bone_lengths=None, height=None).save(silent)
     cli.ok("batch", silent.parent, "-o", tmp_path / "c", "--chain", f"reconstruct {' '.join(map(str, options))}")
     (motion,) = (tmp_path / "c").rglob("summary.json")
-    assert json.loads(motion.read_text())["run"]["subject_sha256"]
+    run = json.loads(motion.read_text())["run"]
+    assert run["subject_sha256"]
+    assert run["person"] == person  # the same bones, whether the recording gives them or the file
 
 
 def test_the_file_of_another_person_is_named_first(short: Path, tmp_path: Path, cli: Any) -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from rtof_kin.clinical.comparison_change import (
+    SHARED,
     Change,
     Measured,
     MixedError,
@@ -17,6 +18,7 @@ from rtof_kin.clinical.comparison_change import (
     adjusted,
     change,
     error_of,
+    shared_of,
 )
 
 RNG = np.random.default_rng(0)
@@ -52,6 +54,33 @@ def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
     assert alarms == pytest.approx(0.05, abs=0.015)
     covered = np.mean([low <= 0 <= high for low, high in (one.interval for one in found)])
     assert covered == pytest.approx(0.95, abs=0.015)
+
+
+def test_errors_that_two_recordings_share_cancel_and_the_interval_covers_a_planted_change() -> None:
+    """Constants of the person's file are wrong alike in both; mounting and noise are not."""
+    covered, sizes = [], []
+    for _ in range(1500):
+        constant = RNG.normal(0, np.sqrt(SHARED))
+        a, b = (one(value + 0.04 * (constant + RNG.normal(0, np.sqrt(1 - SHARED))), 0.04) for value in (0.1, 0.3))
+        errors = [error_of(a, b, "none", shared) for shared in (SHARED, 0.0)]
+        (found,) = adjusted([change("mean", a.mean, b.mean, errors[0], independent=errors[1])])
+        covered.append(found.interval[0] <= 0.2 <= found.interval[1])
+        sizes.append((found.detectable, found.detectable_independent))
+    assert np.mean(covered) == pytest.approx(0.95, abs=0.02)
+    assert np.ptp(sizes, axis=0).max() < 1e-12
+    assert sizes[0][0] / sizes[0][1] == pytest.approx(np.sqrt(1 - SHARED))
+
+
+def test_a_smaller_error_shares_only_what_it_has() -> None:
+    found = error_of(one(0.1, 0.01), one(0.2, 0.05), "none", 0.5)
+    assert found.sigma == pytest.approx(np.sqrt(0.01**2 + 0.05**2 - 0.01 * 0.05))
+    assert found.sigma > 0.05 - 0.01
+
+
+def test_nothing_is_shared_unless_all_are_made_alike_with_a_known_person() -> None:
+    known = (("P07", "3f2a"), "rtof")
+    assert shared_of([known, known, known]) == SHARED
+    assert shared_of([known, (("P07", "77d0"), "rtof")]) == shared_of([known, ()]) == shared_of([(), ()]) == 0
 
 
 def test_repeats_without_bands_are_tested_as_by_welch() -> None:

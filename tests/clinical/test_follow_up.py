@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,9 +13,11 @@ from follow_support import visit, walk_at
 from numpy.typing import NDArray
 from scipy import stats
 
+from rtof_kin.clinical import comparison_change
 from rtof_kin.clinical.comparison_change import Measured, MixedError
 from rtof_kin.clinical.follow_up import (
     Followed,
+    FollowUp,
     Outcome,
     Repeated,
     follow_measures,
@@ -28,6 +30,7 @@ from rtof_kin.clinical.visits import Better, Measure, Setup, Visit, incomparable
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
 ANGLE = Measure("right_knee_flexion_range", "deg")
+COMMON = comparison_change.SHARED
 BEFORE, SAME, AFTER = visit("before", 1.0), visit("same", 1.0, first=3), visit("after", 1.4, first=1)
 
 
@@ -390,6 +393,48 @@ def test_the_stated_error_is_never_less_than_the_errors_whatever_their_shares() 
         spread = np.std([b.mean - a.mean for a, b in draws])
         stated = np.mean([measurement_errors([a, b]).both.sigma for a, b in draws])
         assert stated * np.sqrt(2) >= 0.95 * spread
+
+
+@pytest.mark.parametrize("trials, person", [((1, 1), 0.0), ((2, 2), 1.0), ((3, 1), 4.0)])
+def test_intervals_of_a_known_person_hold_where_the_stated_share_is_shared(
+    trials: tuple[int, ...], person: float
+) -> None:
+    count, alone, covered = 700, [], []
+    for _ in range(count):
+        a, b = planted(trials, 5.0, 2.0, person, Shares(COMMON, 1 - COMMON))
+        errors = measurement_errors([a, b], COMMON)
+        known = errors.of_means(a, b, shared=COMMON)
+        covered.append(abs(b.mean - a.mean - 5.0) <= known.half_width(0.05))
+        alone.append(known.half_width(0.05) / errors.of_means(a, b).half_width(0.05))
+        assert errors.bands.mdc95 == pytest.approx(1.959964 * np.sqrt(2 - 2 * COMMON) * errors.bands.sigma)
+    assert np.mean(covered) >= 0.95 - 3.5 * np.sqrt(0.05 * 0.95 / count)
+    assert np.max(alone) < 1
+    assert np.min(alone) > np.sqrt(1 - COMMON) - 1e-6
+
+
+KNOWN: dict[str, Any] = {"mode": "rtof", "software": "1", "sensors": ("LeftLeg",), "person": ("P07", "3f2a")}
+
+
+def followed(**other: Any) -> FollowUp:
+    visits = [visit("a", 1.0, **KNOWN), visit("b", 1.0, first=2, **(KNOWN | other))]
+    return follow_up(visits, names=["right_knee_flexion_mean", "gait_speed"])
+
+
+def test_a_known_person_needs_a_smaller_change_of_angles_and_it_is_said_by_how_much() -> None:
+    (angle, speed), (apart, _) = (found.measures for found in (followed(), followed(person=("P07", "77d0"))))
+    changes = [one.changes[1] for one in (angle, speed, apart)]
+    own, moved, independent = (change for change in changes if change is not None)
+    assert own.detectable < own.detectable_independent == pytest.approx(independent.detectable)
+    assert own.p < independent.p
+    assert angle.errors.bands.sigma == apart.errors.bands.sigma  # of a visit
+    assert angle.errors.bands.mdc95 == pytest.approx(np.sqrt(1 - COMMON) * apart.errors.bands.mdc95)
+    assert np.isnan(moved.detectable_independent)  # of bands of strides it was not measured
+
+
+@pytest.mark.parametrize("other", [{"person": ("P08", "3f2a")}, {"person": ()}, {"sensors": ()}, {"failed": "fail"}])
+def test_visits_share_errors_only_where_nothing_else_differs(other: dict[str, Any]) -> None:
+    assert followed().shared == COMMON
+    assert followed(**other).shared == 0
 
 
 @pytest.mark.parametrize("trials", [(3, 3, 3), (6, 6)])

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.plan import plan as planning
@@ -22,6 +23,7 @@ from rtof_kin.plan.plan import Plan, plan
 from rtof_kin.plan.prediction import ENOUGH, PLANTED, CalibrationTime, Prediction, calibration_time, planted
 from rtof_kin.plan.protocol import CameraPlace, Protocol
 from rtof_kin.plan.setup import Setup, planned
+from rtof_kin.recording.subject import read_subject
 
 NAMES = ("pelvis_tilt", "right_hip_flexion", "right_knee_flexion", "right_wrist_flexion")
 
@@ -137,6 +139,20 @@ def test_time_is_needed_until_statement_and_simulation_agree() -> None:
 def test_an_unknown_movement_is_named() -> None:
     with pytest.raises(UnknownNameError, match="moonwalk"):
         planned("moonwalk")
+
+
+def test_the_persons_file_gives_the_body_and_the_operators_page_the_identifier(made: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "P07.toml"
+    leg = "LeftLeg = { value = [0, 0, -0.5], sd = 0.01 }"
+    path.write_text(f'subject = "P07"\nheight_m = {{ value = 1.9 }}\njoint_offsets_m = {{ {leg} }}\n')
+    _, setup = planned("squat", subject=(subject := read_subject(path)))
+    assert setup.skeleton.bone_lengths["LeftLeg"] == 0.5
+    assert setup.skeleton.bone_lengths["RightForeArm"] == pytest.approx(
+        SkeletonModel.default().with_height(1.9).bone_lengths["RightForeArm"]
+    )
+    write_plan(replace(made, setup=replace(made.setup, subject=subject)), tmp_path / "out")
+    assert "Recording of P07: squat" in (tmp_path / "out" / INSTRUCTIONS).read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "out" / MARKER).read_text())["subject"] == "P07"
 
 
 def test_a_recording_is_planned_as_it_was_recorded(setup: Setup, tmp_path: Path) -> None:

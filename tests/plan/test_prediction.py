@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from rtof_kin.body import kinematics
+from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.decomposition import angle_sigmas, relative_rotations
+from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan import identifiability
 from rtof_kin.plan.identifiability import NOT_IDENTIFIABLE, ROOT, Information, information
 from rtof_kin.plan.prediction import Prediction, predict
 from rtof_kin.plan.setup import Setup
+from rtof_kin.recording.subject import Estimate, Subject
+from rtof_kin.simulation.simulate import another_person
 from rtof_kin.solve.joint_space.covariance import confidence_of
 from rtof_kin.solve.joint_space.state import StateSpace
 
@@ -79,6 +88,32 @@ def test_angles_have_the_standard_deviations_of_the_covariances(setup: Setup) ->
     expected = angle_sigmas(relative_rotations(R, skeleton, table), table, skeleton, confidence)[0]
     J = identifiability._rates(space, x, setup.camera)[: len(expected)]
     np.testing.assert_allclose(np.sqrt(np.diag(J @ C @ J.T)), expected, rtol=1e-3)
+
+
+def test_a_known_person_is_wrong_by_the_standard_deviations_of_the_file(setup: Setup) -> None:
+    bones = zip(setup.skeleton.names[1:], setup.skeleton.joint_offsets[1:], strict=True)
+    known = {f"joint_offsets_m.{joint}": Estimate[Any](value=offset, sd=0.004) for joint, offset in bones}
+    known |= {f"posture_deg.{joint}": Estimate[Any](value=np.zeros(3), sd=0.1) for joint in JOINTS}
+    subject = Subject.of({"subject": "P07"}, Path("P07.toml")).with_known(known, {})
+    right = setup.recorded(0)
+    found = replace(setup, subject=subject).recorded(0)
+    assert found.truth is not None
+    assert right.truth is not None
+    assert np.array_equal(found.truth.R_world_bone, right.truth.R_world_bone)
+    assert 0.003 < np.std((found.joint_offsets - right.joint_offsets)[1:]) < 0.005
+    assert found.posture is not None
+    turned = so3.angle_between(found.posture.R_parent_bone, np.eye(3))
+    assert np.degrees(turned).max() > 3  # of the draw's person, not of the file's
+    t_pose = another_person(np.random.default_rng([0, 1]), upright(setup.skeleton), setup.skeleton)
+    true = NeutralPosture.of(t_pose, setup.skeleton.parents)
+    assert np.degrees(so3.angle_between(found.posture.R_parent_bone, true.R_parent_bone)).max() < 0.5
+
+
+def upright(skeleton: SkeletonModel) -> PoseSequence:
+    """The zero pose of a body, twice."""
+    R = np.tile(np.eye(3), (2, len(skeleton.names), 1, 1))
+    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.zeros((2, 3)), R)
+    return PoseSequence(np.arange(2.0), p, R, skeleton.names)
 
 
 def test_a_smaller_detector_shows_fewer_points(setup: Setup) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from datetime import date
 from pathlib import Path
 
@@ -172,6 +173,27 @@ def test_every_outcome_has_its_reason(found: FollowUp) -> None:
             Outcome.NOT_TESTED: "not tested: nothing states its error",
         }[one.outcome(1)]
         assert expected in text
+
+
+def test_a_known_person_lowers_the_detectable_change_in_words(tmp_path: Path) -> None:
+    def lines(*digests: str) -> str:
+        folder = tmp_path / "".join(digests)
+        for number, digest in enumerate(digests):
+            run = {"person": {"subject": "P07", "constants_sha256": digest}}
+            fields = {"inputs": {"software": "rtof_kin 1.0"}, "run": run}
+            folder_of(walk_at(1.0, number), folder / f"2026-01-1{number}" / "out", **fields)
+        shown = document(follow_up(read_visits(folder).visits))
+        rows = [row for row in shown.facts["rows"] if row["measure"] == "right_knee_flexion_mean"]
+        assert (rows[1]["detectable_independent"] is None) == (len({*digests}) > 1)
+        return " ".join([shown.headline, *shown.sentences, *map(str, shown.printed)])
+
+    same = lines("3f2a", "3f2a")
+    found = re.search(r"detectable change ([\d.]+) deg .*? of independent recordings it would be ([\d.]+) deg", same)
+    assert found is not None
+    assert 0.7 <= float(found[1]) / float(found[2]) < 1
+    other = lines("3f2a", "77d0")
+    assert "independent" not in other
+    assert "reconstruct all of them with the file as it is now" in other
 
 
 def test_single_trials_and_missing_bands_are_cautions() -> None:
