@@ -24,8 +24,10 @@ import numpy as np
 from benchmarks import total_capture_files as files
 from benchmarks.keypoint_noise import independent
 from benchmarks.total_capture_motion import (
+    BLEND_FRAMES,
     RATE_HZ,
     SHORTEST_CLIP,
+    STILL_FRAMES,
     body,
     cameras,
     carried_over,
@@ -40,7 +42,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
-from rtof_kin.simulation.simulate import simulate
+from rtof_kin.simulation.simulate import another_person, simulate
 
 WITHOUT_ORIENTATIONS = (("S2", "rom2"), ("S3", "rom1"), ("S3", "rom2"), ("S3", "rom3"))
 CAMERA_2_BIAS_PX = (20.0, -8.0)
@@ -195,9 +197,18 @@ def write_detections(folder: Path, take: StandInTake, number: int, camera: Camer
 
 
 def write_dataset(
-    corpus: Path, out: Path, layout: str = "one", seconds: float = 8.0, seed: int = 0, detections: Path | None = None
+    corpus: Path,
+    out: Path,
+    layout: str = "one",
+    seconds: float = 8.0,
+    seed: int = 0,
+    detections: Path | None = None,
+    postures: bool = False,
 ) -> Iterator[str]:
     """Write all 46 takes; yields a line about each.
+
+    Args:
+        postures: whether each subject has a neutral posture of their own, and the takes acting3 begin without a T-pose.
 
     Raises:
         OutputExistsError: `out` is not empty. RtofError, OSError: the corpus cannot be used.
@@ -216,6 +227,11 @@ def write_dataset(
         clip, offsets = motions[subject, name], body(subject, name)
         about = zlib.crc32(f"{subject} {name}".encode())
         poses = from_t_pose(carried_over(clip.poses, offsets), offsets, about + seed)
+        if postures:
+            own = np.random.default_rng([zlib.crc32(subject.encode()), seed])
+            poses = another_person(own, poses, _skeleton().with_offsets(offsets))
+            poses = poses[STILL_FRAMES + BLEND_FRAMES :] if name == "acting3" else poses
+            poses = replace(poses, times=poses.times - poses.times[0])
         take = make_take(subject, name, poses, offsets, seed=seed)
         write_take(out, take, layout, orientations=(subject, name) not in WITHOUT_ORIENTATIONS)
         if detections is not None:
@@ -236,6 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--layout", choices=files.LAYOUTS, default="one")
     parser.add_argument("--seconds", type=float, default=8.0, help="longest motion of a take")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--postures", action="store_true", help="subjects of different neutral posture")
     parser.add_argument("--detections", type=Path, help="new folder for a detector's 2D")
     options = parser.parse_args(arguments)
     try:
