@@ -242,7 +242,7 @@ def _seen_by(protocol: TotalCaptureProtocol, take: Take, job: Job, number: int) 
         save_motion(result, mode, job.motion_file(mode))
     for source in others:
         known = replace(recording, posture=postures[source])
-        again = reconstructions(known, protocol.modes, protocol.lifter, settings, protocol.calibrate)
+        again = reconstructions(known, _optimised(protocol), protocol.lifter, settings, protocol.calibrate)
         for mode, result in again.items():
             methods[posture_name(mode, source)] = _scores(result.stages[mode], truth, skeleton)
     if protocol.studies and "rtof" in results:
@@ -271,6 +271,11 @@ def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str,
         solution = solver.solve(result.stages["sf2"], result.keypoints, result.bone_imus)
         rows[name] = _scores(solution.poses, truth, skeleton) | {"seconds": perf_counter() - began}
     return rows
+
+
+def _optimised(protocol: TotalCaptureProtocol) -> tuple[str, ...]:
+    """Return the modes that use the neutral posture."""
+    return tuple(mode for mode in protocol.modes if mode in ("rto", "rtof"))
 
 
 def posture_name(mode: str, source: str) -> str:
@@ -319,7 +324,7 @@ def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
     """Return every table for which something was measured, and one of missing and suspicious data."""
     rows = list(rows_of(outcome))
     tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
-    if len(protocol.posture) > 1:
+    if len(protocol.posture) > 1 and _optimised(protocol):
         tables.append(_by_posture(protocol, rows))
     if protocol.studies and "rtof" in protocol.modes:
         tables += _studied(rows)
@@ -383,7 +388,7 @@ def _by_posture(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     """Make the comparison of the sources of the neutral posture."""
     columns = {"mode": 0, "neutral posture": 0, "root-relative [mm]": 1, "absolute [mm]": 1, "joint angle [deg]": 1}
     figures, lines = ("mpjpe_rr_mm", "mpjpe_mm", "angle_deg"), list[tuple[Cell, ...]]()
-    for mode in protocol.modes:
+    for mode in _optimised(protocol):
         for source in protocol.posture:
             name = mode if source == protocol.posture[0] else posture_name(mode, source)
             lines.append((mode, POSTURES[source], *_means(rows, name, figures)))

@@ -15,7 +15,7 @@ from protocol_support import cells_of, facts_of, read_json
 from scipy import signal
 
 from benchmarks.total_capture_motion import cameras
-from benchmarks.total_capture_standin import StandInTake, write_detections
+from benchmarks.total_capture_standin import StandInTake, make_take, write_detections
 from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import OutputExistsError, RtofError
@@ -31,6 +31,7 @@ from rtof_kin.protocols.total_capture import (
     length_name,
     weight_name,
 )
+from rtof_kin.simulation.simulate import another_person
 from rtof_kin.solve.settings import CartesianSettings
 
 NAMES = SkeletonModel.default().names
@@ -311,6 +312,47 @@ def test_detections_are_used_and_checked(root: Path, detections: Path, tmp_path:
 
 
 # --- studies -------------------------------------------------------------------------------------
+
+
+def test_the_posture_is_the_takes_the_persons_or_unknown_as_rows(tmp_path: Path) -> None:
+    """Two takes show the neutral posture in their T-poses; the test take begins without one."""
+
+    def take(name: str, seed: int) -> StandInTake:
+        found, skeleton = tc.take("S5", name, noisy=True, frames=80, seed=seed), SkeletonModel.default()
+        own = another_person(np.random.default_rng(3), found.poses, skeleton.with_offsets(found.joint_offsets))
+        own = own[50:] if name == "acting3" else own
+        own = replace(own, times=own.times - own.times[0])
+        return make_take("S5", name, own, found.joint_offsets)
+
+    tc.dataset(tmp_path / "data", *(take(name, seed) for seed, name in enumerate(("acting3", "walking2", "rom3"))))
+    about = protocol(
+        tmp_path / "data",
+        subjects=("S5",),
+        takes=("acting3",),
+        cameras=(1,),
+        modes=("lift", "rto"),
+        posture=("take", "person", "unknown"),
+    )
+    data = TotalCapture(about.root)
+    test, others = data.take("S5", "acting3"), [data.take("S5", name).posture for name in ("walking2", "rom3")]
+    assert test.posture is None
+    found = total_capture._posture(about.root, test, "person")
+    assert found is not None
+    for one in others:
+        assert one is not None
+        assert tc.degrees_apart(found.R_parent_bone, one.R_parent_bone) < 4  # takes differ by 1.5 deg an axis
+    assert total_capture._posture(about.root, data.take("S5", "rom3"), "take") is not None
+    job = about.jobs()["S5_acting3_cam1"]
+    facts = about.measure(job).facts
+    rows = facts["methods"]
+    assert [*rows] == ["lift", "rto", "rto, posture person", "rto, posture unknown"]
+    first, person, unknown = (rows[name]["mpjpe_rr_mm"] for name in [*rows][1:])
+    assert first == unknown != person
+    assert "posture take: no T-pose, so unknown" in facts["notes"]
+    table = tables_of(about, Outcome(tmp_path, {job.name: facts}, {}))["posture"]
+    assert [row[1] for row in table.rows] == list(total_capture.POSTURES.values())
+    assert table.rows[0][2:] == table.rows[2][2:]
+    assert protocol(about.root, posture=()).posture == ("unknown",)  # --posture none
 
 
 def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> None:
