@@ -14,8 +14,9 @@ import argparse
 import json
 import sys
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,10 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.clinical.comparison import HEADINGS
-from rtof_kin.clinical.comparison_change import SHARED, MixedError, bands_of
+from rtof_kin.clinical.comparison_change import SHARED, Made, MixedError, bands_of
 from rtof_kin.clinical.comparison_change import Measured as Value
 from rtof_kin.clinical.comparison_samples import Samples, usable
 from rtof_kin.core import rotations as so3
@@ -89,9 +91,11 @@ CASES = {
     "4 sensors": Case("4"),
     "8 sensors": Case(files="FGN"),
     "10 sensors": Case("10", files="FGN"),
-    "8 sensors, mountings found": Case(mounted=False, draws=7),
+    "8 sensors, mountings found": Case(mounted=False, draws=8),
+    "10 sensors, mountings found": Case("10", mounted=False, draws=4, files="F"),
     "8 sensors, files off by 10 deg and 20 mm": Case(sd_bone_m=0.02, sd_posture_deg=10.0, draws=6),
     "8 sensors, other camera place": Case(same_view=False, draws=6, files="F"),
+    "no sensors, other camera place": Case("0", same_view=False, draws=6, files="F"),
     "8 sensors, other movements": Case(people=tuple(OTHERS), draws=4, files="F"),
 }
 
@@ -228,12 +232,18 @@ def measure(case: Case, clips: dict[str, MocapClip]) -> Iterator[dict[str, Any]]
 # --- tables --------------------------------------------------------------------------------------
 
 
-def pairs(rows: Sequence[dict[str, Any]], file: str, measures: Sequence[str]) -> list[tuple[str, float, Value, Value]]:
+def pairs(
+    rows: Sequence[dict[str, Any]], file: str, measures: Sequence[str], angles: Collection[str]
+) -> list[tuple[str, float, Value, Value]]:
     """Return person, error of the change, deg, and both values with their bands of all that both visits have."""
     by: dict[str, dict[int, dict[Any, Any]]] = {}
     for row in rows:
         if row["file"] == file:
-            found = {(angle, measure): (error, sd) for angle, measure, error, sd in row["rows"] if measure in measures}
+            found = {
+                (angle, measure): (error, sd)
+                for angle, measure, error, sd in row["rows"]
+                if measure in measures and angle in angles
+            }
             by.setdefault(row["person"], {})[row["visit"]] = found
     out = []
     for who, visits in by.items():
@@ -244,14 +254,14 @@ def pairs(rows: Sequence[dict[str, Any]], file: str, measures: Sequence[str]) ->
 
 
 HEADINGS_OF = (
-    *("recorded", "known by", "measure", "people", "error deg", "error of the change deg", "correlation"),
+    *("recorded", "angles", "known by", "measure", "people", "error deg", "error of the change deg", "correlation"),
     *("detectable, independent deg", "shared deg", "inside, independent %", "inside, shared %", "95 %"),
 )
 
 
-def line(rows: Sequence[dict[str, Any]], file: str, measures: Sequence[str]) -> tuple[Cell, ...]:
-    """Return the figures of a table's row, from the number of people on."""
-    own, z = pairs(rows, file, measures), MixedError(1.0).half_width(0.05)
+def line(own: Sequence[tuple[str, float, Value, Value]]) -> tuple[Cell, ...]:
+    """Return the figures of a table's row, from the number of people on; own: of `pairs`."""
+    z = MixedError(1.0).half_width(0.05)
     d, e = np.array([one[1] for one in own]), np.array([[a.mean, b.mean] for _, _, a, b in own])
     half = [z * np.sqrt([bands_of(a, b, shared) for _, _, a, b in own]) for shared in (0.0, SHARED)]
     inside = [np.abs(d) <= width for width in half]
@@ -274,12 +284,27 @@ def table(found: dict[str, list[dict[str, Any]]]) -> Table:
     """Coverage of the stated intervals of the change, as of independent recordings and with what is shared."""
     kinds = {"mean": ("mean",), "range": ("range",), "ends": ("high", "low")}
     lines: list[tuple[Cell, ...]] = []
+    body = SkeletonModel.default()
+    every = angle_table(body.table).rows
     for name, rows in found.items():
-        for file in CASES[name].files:
-            lines += [(name, FILES[file], kind, *line(rows, file, measures)) for kind, measures in kinds.items()]
-    note = f"Shared: {100 * SHARED:.0f} % of the variance; the last column is its bootstrap over people."
+        case = CASES[name]
+        joints = tuple(body.sensors[sensor][0] for sensor in SENSOR_SETS.get(case.sensors, ()))
+        own = {row.name for row in every if Made((), joints, not case.mounted).shares(row)}
+        for which, angles in (("share", own), ("mounting", {row.name for row in every} - own)):
+            for file, (kind, measures) in product(case.files, kinds.items()):
+                if values := pairs(rows, file, measures, angles):
+                    lines.append((name, which, FILES[file], kind, *line(values)))
+    note = (
+        f"Angles: those that share errors (`Made.shares`), {100 * SHARED:.0f} % of the variance, and those that "
+        "mountings make up, for which the package shares nothing. The last column is a bootstrap over people."
+    )
     return Table(
-        "visits", "Changes between two visits", HEADINGS_OF, (0, 0, 0, 0, 1, 1, 2, 1, 1, 1, 1, 0), tuple(lines), (note,)
+        "visits",
+        "Changes between two visits",
+        HEADINGS_OF,
+        (0, 0, 0, 0, 0, 1, 1, 2, 1, 1, 1, 1, 0),
+        tuple(lines),
+        (note,),
     )
 
 

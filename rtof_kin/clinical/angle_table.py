@@ -60,6 +60,8 @@ class AngleRow:
     opensim: str  #: OpenSim coordinate, a leading '-' for the opposite sign; '' if there is none
     about_vertical: bool = False
     """Whether it is a heading, the angle of a segment about the vertical of world: no range of motion."""
+    segments: tuple[str, ...] = ()
+    """Joints of the skeleton that carry its two segments; of an angle against the world the child's alone."""
 
     @property
     def label(self) -> str:
@@ -165,6 +167,7 @@ def _joint(
             range=(float(np.radians(angle["range_deg"][0])), float(np.radians(angle["range_deg"][1]))),
             opensim=angle["opensim"].format(x=side[:1]),
             about_vertical=parent == WORLD and axis == _VERTICAL,
+            segments=(child,) if parent == WORLD else (parent, child),
         )
         for angle, axis in zip(entry["angle"], entry["sequence"], strict=True)
     )

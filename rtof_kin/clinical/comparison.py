@@ -26,7 +26,7 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
-from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change, error_of, shared_of
+from rtof_kin.clinical.comparison_change import Change, Made, Repeats, Verdict, adjusted, change, error_of, shared_of
 from rtof_kin.clinical.comparison_samples import Alignment, Pair, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
@@ -109,7 +109,7 @@ class Compared:
     own_export: bool = False  #: Whether such a table is of this package's own model, so that its zeros are the same
     notes: tuple[str, ...] = ()  #: What its gait cycles and angles do not show, and why
     not_gait: str = ""  #: Why its strides are not those of walking; '' if they are
-    made: tuple[object, ...] = ()  #: How it was made, see `shared_of`
+    made: Made | None = None  #: How it was made, where the person is known
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Comparison:
     shift: float = 0.0  #: [s] added to the times of B
     alignment: Alignment | None = None  #: Agreement of the two clocks; None without a common clock
     kind: str = ""  #: Kind of the repetitions
-    shared: float = 0.0  #: Share of the variance of the bands that both have in common
+    shared: Mapping[str, float] = field(default_factory=dict)  #: Angle -> share of its variance that both have
 
     @property
     def changed(self) -> tuple[AngleComparison, ...]:
@@ -228,7 +228,7 @@ def sides_of(one: Compared) -> tuple[Compared, Compared]:
         own = one.angles.select([angle for angle in one.angles.names if angle.startswith(f"{name}_")])
         rows = tuple(replace(row, name=row.name.removeprefix(f"{name}_")) for row in own.rows)
         strides = {"": one.strides.get(name, [])}
-        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides, made=())
+        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides, made=None)
 
     return side("left"), side("right")
 
@@ -269,7 +269,7 @@ def compare(
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
     positive = {row.name: row.positive for row in a.angles.rows}
-    shared = shared_of((a.made, b.made)) if by in ("cycle", "repetition") else 0.0
+    shared = shared_of((a.made, b.made), a.angles.rows) if by in ("cycle", "repetition") else {}
     angles = _tested(pairs, by, axis, positive, shared)
     ordered = tuple(sorted(angles, key=lambda one: -abs(one.changes[0].difference)))
     kind = kind if by == "repetition" else ""
@@ -337,7 +337,7 @@ def _span(one: Compared) -> str:
 
 
 def _tested(
-    pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str], shared: float
+    pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str], shared: Mapping[str, float]
 ) -> list[AngleComparison]:
     """Differences of all angles, tested together."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
@@ -347,7 +347,7 @@ def _tested(
         for measure in measures:
             a, b = (getattr(one, measure)() for one in (pair.a, pair.b))
             tested = repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE
-            error, apart = (error_of(a, b, kind, share) for share in (shared, 0.0))
+            error, apart = (error_of(a, b, kind, share) for share in (shared.get(pair.name, 0.0), 0.0))
             changes.append(change(measure, a.mean, b.mean, error, tested, apart))
     found = iter(adjusted(changes))
     out = []

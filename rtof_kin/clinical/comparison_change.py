@@ -34,13 +34,13 @@ from typing import Final, Literal
 import numpy as np
 from scipy import optimize, special, stats
 
+from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.core.array_types import Array
 
-SHARED: Final = 0.4
-"""Share of the variance of an angle's stated errors that cancels between two recordings of a person who is known by a
-file with the same bones and posture in both, with the same sensors, detector and settings. Errors of the file, and of
-the method about this person, are shared; mounting, camera and noise are not. With it the 95 % intervals of planted
-changes hold in every class (``python -m benchmarks visits``; docs/follow.md)."""
+SHARED: Final = 0.5
+"""Share of the variance of stated errors that cancels between two recordings that were made alike (`Made`), of angles
+that a segment without a sensor has. Errors of the person's file, and of the method about this person, are shared. With
+it the 95 % intervals of planted changes hold in every class (``python -m benchmarks visits``; docs/follow.md)."""
 _NODES: Final = 150  # of the average, evenly spaced in log x
 _TAIL: Final = 1e-13  # probability left out at either end
 
@@ -148,10 +148,10 @@ class Change:
     p_adjusted: float = float("nan")  #: Holm's, over all tests of the comparison
     detectable: float = float("nan")
     """[rad] a difference of this size is called changed whatever the other angles show."""
-    independent: MixedError | None = (
-        None  #: Of the difference, had A and B no errors in common; None where they have none
-    )
-    detectable_independent: float = float("nan")  #: [rad] `detectable`, had they none; NaN where they have none
+    independent: MixedError | None = None
+    """Of the difference, had A and B no errors in common; None where they have none."""
+    detectable_independent: float = float("nan")
+    """[rad] `detectable`, had they none in common; NaN where they have none."""
 
     @property
     def sigma(self) -> float:
@@ -188,12 +188,29 @@ def change(
     return Change(measure, a, b, error, p, independent=None if independent == error else independent)
 
 
-def shared_of(made: Iterable[tuple[object, ...]]) -> float:
-    """Return the share of the variance of their angles' errors that recordings have in common, by how each was made:
-    person and constants, sensors, detector, settings; empty where the person is not known.
+@dataclass(frozen=True)
+class Made:
+    """How a recording of a known person was made."""
+
+    how: tuple[object, ...]  #: Person and constants of the body, mode, version, settings, detector's points, cameras
+    sensed: tuple[str, ...] = ()  #: Joints whose segments carry a sensor
+    calibrated: bool = False  #: Whether mountings were found from the recording itself
+
+    def shares(self, row: AngleRow) -> bool:
+        """Return whether two such recordings have errors of an angle in common: not those of mountings, which make up
+        the error between two segments with sensors, and where they are found beside one.
+        """
+        bare = [segment not in self.sensed for segment in row.segments]
+        return any(bare) and (all(bare) or not self.calibrated)
+
+
+def shared_of(made: Iterable[Made | None], rows: Iterable[AngleRow]) -> dict[str, float]:
+    """Return the angles of which recordings have errors in common, with the share of their variance; none unless all
+    were made alike, of a known person.
     """
     ways = {*made}
-    return SHARED if len(ways) == 1 and all(ways) else 0.0
+    way = ways.pop() if len(ways) == 1 else None
+    return {} if way is None else {row.name: SHARED for row in rows if way.shares(row)}
 
 
 def bands_of(a: Measured, b: Measured, shared: float = 0.0) -> float:

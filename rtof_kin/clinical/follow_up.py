@@ -9,9 +9,9 @@ verdict is at most 5 %. Trial t of visit v, one of n_v, gives (docs/follow.md)
 
 with the true value mu_v, the error a that all visits share, which cancels in a change, c_v that the trials of a visit
 share, m_vt of each trial, and the variation w_vt of the person. Bands state the variance B^2 of a + c + m together. Of
-a person who is known by the same constants in all trials (`shared_of`), the share r = `SHARED` of it counts as a; else
-all counts as c, which claims least (r = 0). Trials vary within visits by the variance W^2 of m + w. The variances of a
-visit's mean and of a change are ::
+a person who is known by the same constants in all trials, the share r = `SHARED` of it counts as a, in angles whose
+error is not that of mountings (`shared_of`); else all counts as c, which claims least (r = 0). Trials vary within
+visits by the variance W^2 of m + w. The variances of a visit's mean and of a change are ::
 
     V_v = B_v^2 + W^2 / n_v        B_a^2 + B_b^2 - 2 r B_a B_b + W^2 (1 / n_a + 1 / n_b)
 
@@ -24,7 +24,7 @@ partly so.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Final
 
@@ -221,7 +221,8 @@ class FollowUp:
     measures: tuple[Followed, ...]
     incomparable: tuple[str, ...]  #: What makes visits not comparable, in sentences, the gravest first
     left_out: Mapping[str, str]  #: Trials and measures that are left out -> why
-    shared: float = 0.0  #: Share of the variance of an angle's bands that all visits have in common
+    shared: Mapping[str, float] = field(default_factory=dict)
+    """Angle -> share of the variance of its bands that all visits have in common."""
 
     @property
     def last(self) -> int:
@@ -281,7 +282,9 @@ def follow_up(
         raise InvalidInputError("follow: no measure is observed in the baseline and in another visit")
     unlike = [f"{name}: {reason}" for name, reason in out.items() if name not in known]
     causes = (*incomparable(visits, baseline), *unlike)
-    shared = 0.0 if causes else shared_of(one.setup.made for visit in visits for one in visit.trials)
+    every = [one for visit in visits for one in visit.trials]
+    alike = () if causes or chosen == "range" else (one.setup.made for one in every)
+    shared = shared_of(alike, every[0].analysis.angles.rows)
     followed = follow_measures(series, baseline, repeated, better or {}, shared)
     return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out, shared)
 
@@ -291,7 +294,7 @@ def follow_measures(
     baseline: int,
     repeated: Repeated,
     better: Mapping[str, Better],
-    shared: float = 0.0,
+    shared: Mapping[str, float] | None = None,
 ) -> tuple[Followed, ...]:
     """Return the errors and changes of measures whose values are known, tested together.
 
@@ -300,10 +303,11 @@ def follow_measures(
             None where it was not observed, but in the baseline.
         baseline: index of the visit that the others are compared with.
         better: measure -> direction that is better, beside `BETTER`.
-        shared: share of the variance of an angle's bands that all visits have in common.
+        shared: angle -> share of the variance of its bands that all visits have in common.
     """
     directions = BETTER | dict(better)
-    followed = [_followed(measure, own, baseline, repeated, directions, shared) for measure, own in series.items()]
+    shares = {m: (shared or {}).get(m.name.rpartition("_")[0], 0.0) for m in series}
+    followed = [_followed(m, own, baseline, repeated, directions, shares[m]) for m, own in series.items()]
     tested = iter(adjusted([change for one in followed for change in one.changes if change is not None]))
     return tuple(
         replace(one, changes=tuple(None if change is None else next(tested) for change in one.changes))
@@ -359,7 +363,6 @@ def _followed(
     better: Mapping[str, Better],
     shared: float,
 ) -> Followed:
-    shared = 0.0 if measure.is_gait else shared
     if measure.unit == "deg" and not measure.name.endswith("_range") and (first := own[baseline]) is not None:
         middle = np.median(first.values)  # values within half a turn of the baseline
         turns = [np.round((one.values - middle) / _TURN) if one is not None else 0.0 for one in own]

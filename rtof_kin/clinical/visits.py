@@ -30,7 +30,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE, repetition_spans, with_strides
-from rtof_kin.clinical.comparison_change import Measured
+from rtof_kin.clinical.comparison_change import Made, Measured
 from rtof_kin.clinical.comparison_samples import Spans, own_side, repeats_of, whole
 from rtof_kin.clinical.gait_events import Stride
 from rtof_kin.clinical.repetitions import KINDS
@@ -66,11 +66,13 @@ class Setup:
     failed: str = ""  #: Headline of the audit where its verdict is 'fail'
     person: tuple[str, ...] = ()  #: Identifier of the person's file and digest of bones and posture; empty without one
 
+    calibrated: bool = False  #: Whether mountings were found from the recording itself
+
     @property
-    def made(self) -> tuple[object, ...]:
-        """What recordings with errors in common have in common, see `shared_of`; empty where the person is unknown."""
-        how = (self.person, self.mode, self.software, self.model, self.sensors, self.points, self.cameras)
-        return how if self.person else ()
+    def made(self) -> Made | None:
+        """How it was made, where the person is known."""
+        how = (self.person, self.mode, self.software, self.model, self.points, self.cameras)
+        return Made(how, self.sensors, self.calibrated) if self.person else None
 
 
 @dataclass(frozen=True)

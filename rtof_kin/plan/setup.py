@@ -103,7 +103,8 @@ class Setup:
         known = dict[str, Estimate[Any]]()
         for path, one in subject.known.items():
             field, _, joint = path.partition(".")
-            if field in true and (sd := sd_of(path, one)):
+            if field in true and joint in names:
+                sd = sd_of(path, one)
                 known[path] = Estimate[Any](value=true[field][names.index(joint)] + rng.normal(0, sd, 3), sd=sd)
         return subject.with_known(known, {})
 

@@ -173,7 +173,7 @@ def read_compared(path: str | Path) -> Compared:
     if path.suffix.lower() in SUFFIXES:
         return _other_system(path)
     file = motion_path(path)
-    recording, mode, certified, made = "", "", tuple[str, ...](), tuple[object, ...]()
+    recording, mode, certified, made = "", "", tuple[str, ...](), None
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
         recording, mode, made = found.recording, found.mode, setup_of(found).made
@@ -230,7 +230,7 @@ def _opening(found: Comparison, why: str) -> list[str]:
     return [*lines, *_changes(found), *shared_line(found.shared, (c for one in found.angles for c in one.changes))]
 
 
-def shared_line(shared: float, changes: Iterable[Change | None]) -> list[str]:
+def shared_line(shared: Mapping[str, float], changes: Iterable[Change | None]) -> list[str]:
     """Return by how much errors that recordings of a known person share lower the detectable change; empty where none
     are shared.
     """
@@ -240,9 +240,10 @@ def shared_line(shared: float, changes: Iterable[Change | None]) -> list[str]:
         return []
     now, apart = (degrees(float(np.median(own))) for own in zip(*sizes, strict=True))
     return [
-        "All were made with the same bones and posture of the person's file, so that "
-        f"{100 * shared:.0f} % of the variance of an angle's stated error is shared and cancels: smallest detectable "
-        f"change {now} deg (median of {len(sizes)}); of independent recordings it would be {apart} deg."
+        "All were made with the same bones and posture of the person's file: in angles that are not up to the mounting "
+        f"of sensors {100 * max(shared.values()):.0f} % of the variance of the stated errors is shared and cancels. "
+        f"Smallest detectable change {now} deg (median of {len(sizes)}); of independent recordings it would be "
+        f"{apart} deg."
     ]
 
 

@@ -210,6 +210,7 @@ def setup_of(summary: Summary | None, mode: str = "", view: float = math.nan) ->
         certified=math.nan if found is None or found.error_deg is None else found.error_deg,
         failed=overall.text if overall is not None and overall.grade is Grade.FAIL else "",
         person=summary.person,
+        calibrated=bool(settings.get("calibrate")),
     )
 
 

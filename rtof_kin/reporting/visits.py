@@ -474,7 +474,7 @@ def _facts(found: FollowUp) -> dict[str, Any]:
         "level": LEVEL,
         "correction": "Holm, over all rows with a p",
         "comparable": not found.incomparable,
-        "shared": found.shared,
+        "shared": dict(found.shared),
         "definitions": _definitions(found),
         "measures": [_measure_facts(found, one) for one in found.measures],
         "rows": table(found).records(),

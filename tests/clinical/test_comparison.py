@@ -26,7 +26,7 @@ from rtof_kin.clinical.comparison import (
     compared,
     sides_of,
 )
-from rtof_kin.clinical.comparison_change import SHARED, Verdict
+from rtof_kin.clinical.comparison_change import SHARED, Made, Verdict
 from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
@@ -269,14 +269,14 @@ def squats(depth: float, count: int, seconds: float) -> Motion:
 
 
 def test_walks_of_a_known_person_share_errors_and_sides_of_one_do_not() -> None:
-    made = (("P07", "3f2a"), "rtof")
+    made = Made(("P07", "3f2a"))
     a, b = (replace(compared(name, walking(2.0)), made=made) for name in "ab")
-    shared, apart = (of(compare(a, other, "cycle"), KNEE).changes[0] for other in (b, replace(b, made=())))
+    shared, apart = (of(compare(a, other, "cycle"), KNEE).changes[0] for other in (b, replace(b, made=None)))
     assert shared.error.known == pytest.approx((1 - SHARED) * apart.error.known)
     assert shared.error.estimated == apart.error.estimated
     assert shared.detectable < shared.detectable_independent
-    assert compare(a, b, "cycle").shared == SHARED
-    assert compare(a, b, "range").shared == compare(*sides_of(a), "cycle").shared == 0
+    assert compare(a, b, "cycle").shared[KNEE] == SHARED
+    assert compare(a, b, "range").shared == compare(*sides_of(a), "cycle").shared == {}
 
 
 def test_squats_of_another_depth_and_tempo_are_compared_by_repetition() -> None:

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.comparison_change import (
     SHARED,
     Change,
+    Made,
     Measured,
     MixedError,
     Repeats,
@@ -78,9 +81,25 @@ def test_a_smaller_error_shares_only_what_it_has() -> None:
 
 
 def test_nothing_is_shared_unless_all_are_made_alike_with_a_known_person() -> None:
-    known = (("P07", "3f2a"), "rtof")
-    assert shared_of([known, known, known]) == SHARED
-    assert shared_of([known, (("P07", "77d0"), "rtof")]) == shared_of([known, ()]) == shared_of([(), ()]) == 0
+    rows, known = angle_table(SkeletonModel.default().table).rows, Made(("P07", "3f2a"))
+    assert shared_of([known, known, known], rows) == dict.fromkeys((row.name for row in rows), SHARED)
+    for other in (Made(("P07", "77d0")), replace(known, sensed=("Hips",)), None):
+        assert shared_of([known, other], rows) == shared_of([other, known], rows) == {}
+    assert shared_of([None, None], rows) == {}
+
+
+@pytest.mark.parametrize(
+    "calibrated, expected",
+    [(False, {"right_hip_flexion", "spine_flexion", "pelvis_tilt"}), (True, {"spine_flexion", "pelvis_tilt"})],
+)
+def test_errors_of_mountings_are_not_shared(calibrated: bool, expected: set[str]) -> None:
+    rows = angle_table(SkeletonModel.default().table).rows
+    names = ("right_hip_flexion", "right_knee_flexion", "spine_flexion", "pelvis_tilt")
+    own = [row for row in rows if row.name in names]
+    made = Made(("P07",), ("RightUpLeg", "RightLeg"), calibrated)
+    assert {*shared_of([made, made], own)} == expected
+    trunk = replace(made, sensed=("RightUpLeg", "RightLeg", "Hips", "Spine3"))
+    assert shared_of([trunk, trunk], own) == {}
 
 
 def test_repeats_without_bands_are_tested_as_by_welch() -> None:

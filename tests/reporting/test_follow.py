@@ -188,7 +188,9 @@ def test_a_known_person_lowers_the_detectable_change_in_words(tmp_path: Path) ->
         return " ".join([shown.headline, *shown.sentences, *map(str, shown.printed)])
 
     same = lines("3f2a", "3f2a")
-    found = re.search(r"detectable change ([\d.]+) deg .*? of independent recordings it would be ([\d.]+) deg", same)
+    found = re.search(
+        r"Smallest detectable change ([\d.]+) deg .*? of independent recordings it would be ([\d.]+) deg", same
+    )
     assert found is not None
     assert 0.7 <= float(found[1]) / float(found[2]) < 1
     other = lines("3f2a", "77d0")
