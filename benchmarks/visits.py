@@ -95,6 +95,7 @@ CASES = {
     "8 sensors, other movements": Case(people=tuple(OTHERS), draws=2, files="F"),
     "no sensors, other camera place": Case("0", same_view=False, files="F"),
     "4 sensors": Case("4", files="F"),
+    "10 sensors, mountings found": Case("10", mounted=False, files="F"),
 }
 
 
