@@ -151,8 +151,8 @@ def live(
         landmarks = _points_of(streams.sources[0]) if camera else ()
         latency = _latency(streams.sources[0])
         settings = replace(settings, video_latency_s=latency, refined=refinement_priors(refine))
-        if person.doubt:
-            line("doubtful", person.doubt, "bold red")
+        for sentence in filter(None, (person.doubt, *person.remarks)):
+            line("doubtful", sentence, "bold red")
         remark("preparing the estimator")
         estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
         _start(streams.sources)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration, bone_groups
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.resources import cache_folder
 from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.result import Reconstruction
@@ -45,13 +47,14 @@ class Person:
 
     subject: Subject | None = None  #: What was known before; None where nothing was
     doubt: str = ""  #: Why the file may be of another person than the recording
+    remarks: tuple[str, ...] = ()  #: Values of the file that are not used
     news: dict[str, Estimate[Any]] = field(default_factory=dict)  #: What the recording says, by field
 
     @classmethod
     def of(cls, subject: Subject | None, source: RecordingSource) -> Person:
         """Compare a recording with its person's file, which is not used where they contradict each other."""
-        doubt = "" if subject is None else contradictions(subject, source.facts)
-        return cls(None if doubt else subject, doubt)
+        doubt, remarks = ("", ()) if subject is None else contradictions(subject, source.facts)
+        return cls(None if doubt else subject, doubt, remarks)
 
     def informed(self, source: RecordingSource) -> RecordingSource:
         """Return the recording with what is known of its person where it is silent."""
@@ -83,7 +86,7 @@ class Person:
     def learning(
         self, parts: Iterable[Reconstruction], given: Recording, body: SkeletonModel, source: str
     ) -> Iterator[Reconstruction]:
-        """Yield the parts of a reconstruction, with the doubt in the first, from which `news` are taken.
+        """Yield the parts of a reconstruction, with doubt and remarks in the first, from which `news` are taken.
 
         `given`: facts of the recording as it is. `body`: with which it was reconstructed. `source`: of the news.
         """
@@ -91,7 +94,9 @@ class Person:
             if number == 0:
                 found = _from_motion(part.motion) | _from_calibration(part.calibration, body, not given.bones_given)
                 self.news = _estimates(found, source, given.session.date) | given_by(given, source)
-            yield replace(part, warnings=(self.doubt, *part.warnings)) if self.doubt and number == 0 else part
+                said = (*filter(None, [self.doubt]), *self.remarks)
+                part = replace(part, warnings=(*said, *part.warnings)) if said else part
+            yield part
 
 
 def update_subject(path: Path, news: Mapping[str, Estimate[Any]], skeleton: str, doubt: str = "") -> tuple[str, ...]:
@@ -100,7 +105,9 @@ def update_subject(path: Path, news: Mapping[str, Estimate[Any]], skeleton: str,
     `news`: of joints of the table `skeleton`, which are left out where the file has another. `doubt`: why all are
     refused. Errors as `read_subject` and `write_subject`.
     """
-    with FileLock(path.with_name(f".{path.name}.lock")):  # recordings of a batch wait for each other
+    lock = cache_folder() / "locks" / f"{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]}.lock"
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(lock):  # recordings of a batch wait for each other; nothing is left beside the file
         new = {"subject": path.stem, "skeleton": skeleton}
         subject = read_subject(path) if path.exists() else Subject.of(new, path)
         same = subject.skeleton == skeleton

@@ -49,7 +49,7 @@ def test_a_recording_makes_the_file_and_another_one_uses_it(short: Path, tmp_pat
 
 def test_the_file_of_another_person_is_named_first(short: Path, tmp_path: Path, cli: Any) -> None:
     file = tmp_path / "P07.toml"
-    file.write_text('subject = "P07"\njoint_offsets_m = { LeftLeg = { value = [0, 0, -0.6], sd = 0.01 } }\n')
+    file.write_text('subject = "P07"\nheight_m = { value = 1.2 }\n')
     options = ("--mode", "lift", "--no-figures", "--subject", file)
     done = cli.ok("reconstruct", short, "-o", tmp_path / "out", *options, "--update-subject")
     sentence = "P07.toml is likely of another person and is not used: joint_offsets_m.LeftLeg"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,26 @@ def test_the_file_of_another_person_is_named_and_changes_nothing() -> None:
     assert found.warnings[0].startswith("P07.toml is likely of another person and is not used: height_m ")
     assert error == solved(None, recording, truth, "lift")[0]
     assert [*who.news] == ["height_m"]
+
+
+def test_another_mass_alone_is_said_and_the_rest_of_the_file_is_used() -> None:
+    body = person(0)
+    truth = planted.human(body, 24)
+    subject, _ = merged(file_of(body), {"mass_kg": Estimate[Any](value=60.0, sd=1.0)})
+    recording = replace(planted.recording(truth, sigma_px=2.0), joint_offsets=None, mass_kg=90.0)
+    _, who, found = solved(subject, recording, truth, "lift")
+    assert found.warnings[0].startswith("P07.toml has another mass_kg, which is not used: 90 is ")
+    assert found.recording.mass_kg == 90.0
+    assert found.recording.posture is not None
+    assert who.doubt == ""
+
+
+def test_updates_of_one_file_wait_for_each_other(tmp_path: Path) -> None:
+    path, body = tmp_path / "P07.toml", person(1)
+    with ThreadPoolExecutor(4) as pool:
+        sigma, many = np.full((21, 3), 0.02), range(6)
+        list(pool.map(lambda n: update_subject(path, news_of_markers(body, sigma, f"markers {n}"), body.name), many))
+    assert len(read_subject(path).history["joint_offsets_m.LeftLeg"]) == 6
 
 
 def quantity(kind: str, item: str, value: float, sigma: float, prior: float) -> Quantity:
@@ -184,12 +205,13 @@ def test_a_file_is_made_and_gets_better(tmp_path: Path) -> None:
     sigma = np.full((21, 3), 0.004)
     said = update_subject(path, news_of_markers(body, sigma, "markers 1"), body.name)
     assert len(said) == 20
+    assert [each.name for each in tmp_path.iterdir()] == ["P07.toml"]  # no lock stays behind
     assert said[0].startswith("P07: joint_offsets_m.Spine: ")
     assert update_subject(path, news_of_markers(body, sigma, "markers 1"), body.name) == (
         "P07: nothing new in this recording",
     )
     update_subject(path, news_of_markers(body, sigma, "markers 2"), body.name)
     leg = read_subject(path).joint_offsets_m["LeftLeg"]
-    assert leg.sd == pytest.approx(0.004 / 2**0.5, rel=1e-4)
+    assert leg.sd == 0.004  # the markers' places are shared
     other = {"height_m": Estimate[Any](value=1.7), "joint_offsets_m.LKnee": Estimate[Any](value=np.ones(3))}
     assert update_subject(path, other, "human36m") == ("P07: height_m: 1.7 ± 0.01",)

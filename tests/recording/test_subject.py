@@ -122,7 +122,7 @@ def test_a_file_that_is_not_there_is_no_person(tmp_path: Path) -> None:
 
 def test_estimates_merge_as_an_information_filter_in_any_order() -> None:
     rng = np.random.default_rng(1)
-    sds = rng.uniform(0.004, 0.02, 6)
+    sds = rng.uniform(0.012, 0.03, 6)  # whose precisions add to less than what recordings share
     values = np.array([0.01, 0.0, -0.41]) + 0.5 * sds[:, None] * rng.uniform(-1, 1, (6, 3))
     weights = sds**-2 / np.sum(sds**-2)
     for order in (range(6), rng.permutation(6)):
@@ -135,6 +135,18 @@ def test_estimates_merge_as_an_information_filter_in_any_order() -> None:
         assert found.sd == pytest.approx(np.sum(sds**-2) ** -0.5, rel=1e-5)
         assert (found.source, found.date) == ("6 estimates", "2026-01-06")
         assert len(subject.history["joint_offsets_m.LeftLeg"]) == 6
+
+
+def test_precisions_do_not_add_without_end() -> None:
+    subject = NOBODY
+    for n in range(50):
+        subject, _ = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.41], 0.008, f"recording {n}")})
+    assert subject.joint_offsets_m["LeftLeg"].sd == 0.004
+    subject, _ = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.405], 0.001, "magnetic resonance")})
+    assert subject.joint_offsets_m["LeftLeg"].sd == 0.001  # one that is better counts as it is
+    subject, said = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.42], 0.008, "recording 51")})
+    assert subject.joint_offsets_m["LeftLeg"].sd == 0.001
+    assert said[0].startswith("joint_offsets_m.LeftLeg: ")
 
 
 def test_values_without_sd_count_with_the_usual_one() -> None:
@@ -205,7 +217,7 @@ def test_what_a_recording_gives_is_not_replaced(tmp_path: Path, recording: Recor
         recording, joint_offsets=SKELETON.with_bone_lengths({"LeftLeg": 0.43}).joint_offsets, height=1.75, posture=own
     )
     assert subject.informed(given) == {"mass_kg": 71, "sex": "female"}
-    assert contradictions(subject, given) == ""
+    assert contradictions(subject, given) == ("", ())
     assert set(given_by(given, "")) == {"height_m", "posture_deg.Spine1"} | {
         f"joint_offsets_m.{joint}" for joint in SKELETON.names[1:]
     }
@@ -237,12 +249,50 @@ def test_bones_of_the_file_are_estimated_again_within_their_standard_deviations(
 
 def test_a_recording_of_another_person_is_named(tmp_path: Path, recording: Recording) -> None:
     subject = by_hand(tmp_path)
-    assert contradictions(subject, recording) == ""
+    assert contradictions(subject, recording) == ("", ())
     other = replace(recording, joint_offsets=None, height=1.86, sex="male")
     assert contradictions(subject, other) == (
         "P07.toml is likely of another person and is not used: height_m 1.86 is 8.5 standard deviations (0.014) from "
-        "1.74 (and 1 more)"
+        "1.74 (and 1 more)",
+        (),
     )
+    for facts in ({"mass_kg": 90.0, "sex": "male"}, {"mass_kg": 90.0, "bone_lengths": {"LeftLeg": 0.5}}):
+        doubt, remarks = contradictions(subject, replace(recording, joint_offsets=None, **facts))
+        assert doubt.startswith("P07.toml is likely of another person and is not used: mass_kg 90 is ")
+        assert remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("facts", "path"),
+    [
+        ({"mass_kg": 90.0}, "mass_kg"),
+        ({"sex": "male"}, "sex"),
+        ({"bone_lengths": {"LeftLeg": 0.5}}, "joint_offsets_m.LeftLeg"),
+    ],
+)
+def test_one_other_value_is_the_recordings_and_the_rest_of_the_file_counts(
+    tmp_path: Path, recording: Recording, facts: dict[str, Any], path: str
+) -> None:
+    subject = by_hand(tmp_path)
+    given = replace(recording, joint_offsets=None, **facts)
+    doubt, (remark,) = contradictions(subject, given)
+    assert doubt == ""
+    assert remark.startswith(f"P07.toml has another {path}, which is not used: ")
+    (field,) = facts
+    assert field not in subject.informed(given)
+    assert subject.informed(given)["height"] == 1.74
+
+
+def test_both_sides_of_a_bone_are_one_value(tmp_path: Path, recording: Recording) -> None:
+    subject, _ = merged(by_hand(tmp_path), {"joint_offsets_m.RightLeg": of([0.0, 0.0, -0.44], 0.004)})
+    given = replace(recording, joint_offsets=None, bone_lengths={"LeftLeg": 0.5, "RightLeg": 0.5})
+    doubt, remarks = contradictions(subject, given)
+    assert (doubt, len(remarks)) == ("", 2)
+
+
+def test_bones_that_follow_the_height_are_not_given(recording: Recording) -> None:
+    measured = replace(recording, joint_offsets=None, height=1.9, bone_lengths={"LeftLeg": 0.45})
+    assert set(given_by(measured, "")) == {"height_m", "joint_offsets_m.LeftLeg"}
 
 
 def test_bones_and_posture_of_another_skeleton_are_not_used(tmp_path: Path, recording: Recording) -> None:
