@@ -55,7 +55,7 @@ def calibrate(
     fragments = shared_fragments(slices, priors, settings, frames)
     fragments.begin()
     if without_slipped and (slipped := fragments.slipped()):
-        fragments = _fragments(replace(fragments.excerpt, left_out=slipped), priors, settings)
+        fragments = fragments_of(replace(fragments.excerpt, left_out=slipped), priors, settings)
         fragments.begin()
     shared = fragments.estimate(priors.rounds, progress)
     quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior)
@@ -78,14 +78,16 @@ def shared_fragments(
                 f"recording {recording.name}: without calibrated IMUs and a video there is nothing to calibrate by"
             )
     _check_long_enough(slices, priors)
-    return _fragments(Excerpt.chosen(slices, frames, settings, priors.most_seconds), priors, settings)
+    return fragments_of(Excerpt.chosen(slices, frames, settings, priors.most_seconds), priors, settings)
 
 
-def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpaceSettings) -> SharedFragments:
+def fragments_of(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpaceSettings) -> SharedFragments:
+    """Return the fragments with the unknowns that priors leave open; without sensors only those of body and image."""
     sensors = excerpt.data[0].sensors
     slow = [
         low_passed(even_noise(mask_faults(_sensed(part.recording), excerpt.left_out)), settings)
         for part in excerpt.slices
+        if sensors
     ]
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:

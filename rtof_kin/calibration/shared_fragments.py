@@ -49,9 +49,9 @@ _MISALIGNED_FRACTION = 0.8  # Minimum fraction of the excerpt over which a senso
 class Slice:
     """A recording, or the part of it between two times, made ready for calibration."""
 
-    recording: Recording  # With IMUs, an approximate calibration, and evenly spaced keypoints
+    recording: Recording  # With evenly spaced keypoints, and an approximate calibration of its IMUs
     guess: InitialGuess  # At the keypoints' times, from poses after SF2
-    bone_imus: BoneImuSequence  # Sensors at those times
+    bone_imus: BoneImuSequence | None  # Sensors at those times; None without
 
 
 @dataclass(frozen=True)
@@ -130,10 +130,12 @@ class Excerpt:
         faults, seconds = list[StreamFault](), 0.0
         for (i, first), x in zip(self.fragments, states, strict=True):
             own = slice(first, min(first + self.frames, len(self.data[i].start)))
-            start = self.slices[i].guess.poses
+            start, sensed = self.slices[i].guess.poses, self.slices[i].bone_imus
+            if sensed is None:
+                continue
             poses = start.with_poses(own, *(v[: own.stop - first] for v in self.data[i].space.poses(x)))
             seconds += float(poses.times[-1] - poses.times[0])
-            faults += find_disagreements(poses, self.slices[i].bone_imus[own], self.data[i].skeleton)
+            faults += find_disagreements(poses, sensed[own], self.data[i].skeleton)
         lasting = {
             name
             for name in {fault.what for fault in faults}
@@ -151,7 +153,7 @@ def _observed(part: Slice, frames: int, settings: JointSpaceSettings) -> Observa
         part.guess,
         recording.keypoints,
         part.bone_imus,
-        places=part.bone_imus.joints,
+        places=() if part.bone_imus is None else part.bone_imus.joints,
     )
 
 
@@ -194,6 +196,7 @@ class SharedFragments:
         excerpt: the fragments. columns: of each unknown in y. prior: (G, G) its precision.
         data: what all fragments have in common: states, problem, limits, settings.
         confidence: (T', L) relative weights of the landmarks, 0 where unobserved.
+        sigma_px: of the landmarks.
     """
 
     def __init__(self, excerpt: Excerpt, unknowns: Sequence[Unknown], weight: float) -> None:
@@ -212,7 +215,7 @@ class SharedFragments:
         self.prior = _precision(self.unknowns)
         self._solver = LevenbergMarquardt(self.data.problem, self.data.limits)
         self._firsts = list(excerpt.firsts)
-        self._sigma_px = np.nan
+        self.sigma_px = np.nan
         self._states: dict[int, tuple[Array, Array | None]] = {}
         self._doubts: dict[int, str] = {}
 
@@ -299,15 +302,17 @@ class SharedFragments:
         weight, prior = (1.0, 1.0) if full else (self._weight, self._weight * WEIGHT_POSES)
         knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(weight)
         return replace(given, weight_of_motion=weight).changed(
-            w_visual=weight * self.confidence / self._sigma_px**2,
+            w_visual=weight * self.confidence / self.sigma_px**2,
             knee_visual=np.full(len(given.times), knee),
             w_sensor=weight * given.rows["w_sensor"],
             w_prior=prior * given.rows["w_prior"],
             w_torso=prior * given.rows["w_torso"],
         )
 
-    def begin(self) -> None:
-        """Solve the fragments as reconstruction does; set sigma_px and limit the priors of biases."""
+    def begin(self, sigma_px: float | None = None) -> None:
+        """Solve the fragments as reconstruction does; set `sigma_px` to that of the residuals, unless it is given, and
+        limit the priors of biases.
+        """
         s, data, sizes, constant = self.data.settings, self.data, list[float](), list[float]()
         for first in self._firsts:
             values = self._given.fragment(first, data.frames)
@@ -322,7 +327,7 @@ class SharedFragments:
             if any(row.any() for row in rows):
                 sizes.append(annealing.sigma)
                 constant.append(annealing.constant_px)
-        self._sigma_px = float(np.median(sizes))
+        self.sigma_px = float(np.median(sizes)) if sigma_px is None else sigma_px
         self.unknowns = tuple(u.limited(float(np.median(constant))) for u in self.unknowns)
         self.prior = _precision(self.unknowns)
 

@@ -14,13 +14,24 @@ from filelock import FileLock
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import SPINE, STOOD, NeutralPosture, has_prior, reference_pose
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.calibration.estimate import fragments_of
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, bone_groups
+from rtof_kin.calibration.shared_fragments import Excerpt, Slice
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import RtofError
 from rtof_kin.core.resources import cache_folder
+from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT
+from rtof_kin.reconstruction.checks.camera import standing
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.self_calibration import as_declared
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording, RecordingSource
 from rtof_kin.recording.subject import (
     Estimate,
@@ -38,6 +49,12 @@ _SHOWN: Final = 0.7
 """Largest standard deviation of a joint in the T-pose, relative to the prior's, with which the recording shows it."""
 _LEAST_S: Final = 20.0  #: [s] Shortest motion that tells a posture by itself
 _ANKLE, _LOWEST = JointSpaceSettings().ankle_height, 0.02  #: [m] Usual and lowest height of ankles
+_LONGEST, _FITTED = 8.0, 5.0  #: [s] of a recording, and of its fragments, by which a file's bones are compared
+_ALIKE: Final = 8.0  #: [nats] of a fragment that count as one
+_USUAL_LARGER, _SIGMA_LARGER = 0.007, 0.019  #: [1] Mean and standard deviation of `_Fit.larger` with the right bones
+_SIGMA_ANKLE, _TILT = 0.033, 0.0067  #: [m] The latter of `_Fit.ankle`, and per m of distance: 0.4 degrees of the camera
+_FLOOR_WRONG: Final = 0.6  #: [m] between ankle and floor from which the floor is more likely wrong than the body
+ANOTHER: Final = 6.5  #: Sum of contradictions beyond which a file is of another person
 _News = Mapping[str, tuple[Array | float, float]]  # Value and standard deviation by field
 
 
@@ -55,6 +72,19 @@ class Person:
         """Compare a recording with its person's file, which is not used where they contradict each other."""
         doubt, remarks = ("", ()) if subject is None else contradictions(subject, source.facts)
         return cls(None if doubt else subject, doubt, remarks)
+
+    def seen(
+        self, source: RecordingSource, mode: Mode, lifter: LifterLike | None, settings: ReconstructionSettings
+    ) -> Person:
+        """Return the person after the file's bones were compared with the motion of a recording."""
+        if self.subject is None:
+            return self
+        found = contradictions_by_motion(self.subject, source, mode, lifter, settings)
+        if sum(found.values()) <= ANOTHER:
+            return self
+        said = " and ".join(words for words, share in found.items() if share > ANOTHER / 4)
+        doubt = f"{self.subject.path.name} is likely of another person and is not used: with its bones, {said}"
+        return replace(self, subject=None, doubt=doubt)
 
     def informed(self, source: RecordingSource) -> RecordingSource:
         """Return the recording with what is known of its person where it is silent."""
@@ -97,6 +127,89 @@ class Person:
                 said = (*filter(None, [self.doubt]), *self.remarks)
                 part = replace(part, warnings=(*said, *part.warnings)) if said else part
             yield part
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How a body fits an excerpt of a recording."""
+
+    energy: float  # [nats] of a fragment, negative logarithm of its probability
+    larger: float  # [1] by which accelerations would have the body larger; NaN without sensors
+    ankle: float  # [m] of a standing ankle over its usual height, by the size of the body; NaN without a floor
+    distance: float  # [m] from the camera
+    sigma_px: float
+
+    @classmethod
+    def of(cls, job: Job, mode: Mode, sigma_px: float | None = None) -> _Fit:
+        """Fit a job; `sigma_px`: of the landmarks, by default that of the residuals."""
+        prepared = job.prepare(mode)
+        sensed, solver, recording = prepared.bone_imus is not None, job.settings.fragment, prepared.recording
+        assert isinstance(solver, JointSpaceSettings)
+        part = Slice(recording, prepared.guess, prepared.bone_imus)
+        excerpt = Excerpt.chosen([part], job.settings.frames, solver, _FITTED)
+        priors = CalibrationPriors(sigma_size=0.08, sigma_proportion=0.04)
+        priors = priors if sensed else replace(priors, sigma_delay=None, sigma_swing=None)
+        fragments, larger, stands = fragments_of(excerpt, priors, solver), np.nan, None
+        fragments.begin(sigma_px)
+        y = np.zeros(len(fragments.prior))
+        if sensed:
+            given = fragments.corrected(y)
+            fragments.settle(given)
+            information, slope = fragments.profile(given, y)
+            y_found = -np.linalg.solve(information + fragments.prior, slope)
+            kinds = [unknown.name for unknown in fragments.unknowns]
+            larger = float(y_found[fragments.columns[kinds.index("bones")]].mean())
+        if recording.floor_height is not None:
+            stands = standing(prepared.lifted.poses, recording.video, sensed)
+        return cls(
+            fragments.settle(fragments.corrected(y, full=True)) / len(excerpt.fragments),
+            larger,
+            np.nan if stands is None else stands.height - (recording.floor_height or 0.0) - ANKLE_HEIGHT,
+            np.nan if stands is None else stands.distance,
+            fragments.sigma_px,
+        )
+
+
+def contradictions_by_motion(
+    subject: Subject, source: RecordingSource, mode: Mode, lifter: LifterLike | None, settings: ReconstructionSettings
+) -> dict[str, float]:
+    """Return how much an excerpt of a recording contradicts the bones of a file, by words on what does; nothing where
+    it cannot. It is solved with the file's bones and with those that the recording has alone.
+
+    ::
+
+        energy / 8          of a fragment with the file's bones, less that without, nats
+        (larger / sigma)^2  by which the sensors' accelerations would have the body larger
+        (ankle / sigma)^2   how far standing ankles are off the floor where the body is placed by its size
+
+    The constant errors of a detector make fragments alike, so their energies do not add. The size counts where the
+    recording does not give the height.
+    """
+    facts = subject.informed(source.facts)
+    if "joint_offsets" not in facts or mode not in ("rto", "rtof"):
+        return {}
+    bones = {name: facts[name] for name in ("height", "joint_offsets") if name in facts}
+    middle = (source.start_s + source.stop_s) / 2
+    try:
+        job = Job.of(source.between(middle - _LONGEST / 2, middle + _LONGEST / 2), None, lifter, settings)
+        job = job.with_solver(None)
+        if job.recording.video.camera.uncertainty or not isinstance(job.settings.fragment, JointSpaceSettings):
+            return {}
+        own: Mode = "rtof" if job.sensed(mode) and as_declared(job) else "rto"
+        alone = _Fit.of(job, own)
+        fit = _Fit.of(replace(job, recording=replace(job.recording, **bones)), own, alone.sigma_px)
+    except RtofError:  # the reconstruction says so
+        return {}
+    worse = fit.energy - alone.energy
+    found = {f"{job.settings.frames} frames fit worse by {worse:.0f} nats": worse / _ALIKE}
+    if source.facts.height is None and np.isfinite(fit.larger):
+        words = f"the sensors' accelerations are those of a body {1 + fit.larger:.2f} times as large"
+        found[words] = ((fit.larger - _USUAL_LARGER) / _SIGMA_LARGER) ** 2
+    if source.facts.height is None and abs(fit.ankle) < _FLOOR_WRONG:
+        where = "over" if fit.ankle > 0 else "under"
+        words = f"the feet stand {abs(fit.ankle):.2f} m {where} the floor, unless that is wrong"
+        found[words] = (fit.ankle / np.hypot(_SIGMA_ANKLE, _TILT * fit.distance)) ** 2
+    return found
 
 
 def update_subject(path: Path, news: Mapping[str, Estimate[Any]], skeleton: str, doubt: str = "") -> tuple[str, ...]:

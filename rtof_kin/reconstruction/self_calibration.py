@@ -374,7 +374,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
     moves = bool(np.nanmean(sensed.w_world**2) >= _MOVING**2)
-    suspect = moves and found.explained < _SUSPECT and _as_declared(jobs[0])
+    suspect = moves and found.explained < _SUSPECT and as_declared(jobs[0])
     contradict = suspect and _contradicts_image(jobs[0])
     check = _check_belonging(jobs[0], seen, sensed, columns, found, contradict)
     middle = float(found.middle + found.offset)
@@ -484,7 +484,7 @@ def _check_belonging(
     )
 
 
-def _as_declared(job: Job) -> bool:
+def as_declared(job: Job) -> bool:
     """Return whether no check of the sensors' form, or of the camera alone, fails: such an error would explain more."""
     form = (*check_sensor_form(job.recording), *check_camera_alone(job.recording, job.subject, job.lifter))
     return not any(check.failed for check in form)

@@ -174,7 +174,8 @@ def reconstruct_folder(
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
-        person = Person.of(task.person(), source)
+        lifter = task.lifter()
+        person = Person.of(task.person(), source).seen(source, mode, lifter, settings)
         informed = person.informed(source)
         record = {
             "options": {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
@@ -191,7 +192,7 @@ def reconstruct_folder(
             record["person"] = used
         how: Any = {
             "mode": mode,
-            "lifter": task.lifter(),
+            "lifter": lifter,
             "settings": settings,
             "calibrate": task.calibrate,
             "known": person.calibration if known is None else read_self_calibration_toml(known),

@@ -17,9 +17,11 @@ from rtof_kin.body.pose_prior import HIPS, SPINE, NeutralPosture
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.camera import CameraUncertainty
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.person import Person, news_of_markers, update_subject
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.subject import Estimate, Subject, merged, read_subject
 
@@ -101,6 +103,55 @@ def test_updates_of_one_file_wait_for_each_other(tmp_path: Path) -> None:
         sigma, many = np.full((21, 3), 0.02), range(6)
         list(pool.map(lambda n: update_subject(path, news_of_markers(body, sigma, f"markers {n}"), body.name), many))
     assert len(read_subject(path).history["joint_offsets_m.LeftLeg"]) == 6
+
+
+@pytest.fixture(scope="module")
+def silent() -> tuple[Motion, Recording]:
+    """A person with feet on the floor, and a recording that gives nothing of the body."""
+    truth = planted.human(person(0), 40, seed=0)
+    return truth, replace(planted.recording(truth, sigma_px=2.0), joint_offsets=None, floor_height=0.0)
+
+
+def compared(silent: tuple[Motion, Recording], subject: Subject, mode: Any = "rtof", **facts: Any) -> Person:
+    truth, recording = silent
+    recording, lifter = replace(recording, **{"joint_offsets": None} | facts), planted.PlantedLifter(truth)
+    return Person.of(subject, recording).seen(recording, mode, lifter, ReconstructionSettings())
+
+
+NAMED = "P07.toml is likely of another person and is not used: with its bones, "
+
+
+def test_the_motion_shows_bones_of_another_person_and_those_of_the_right_one(silent: tuple[Motion, Recording]) -> None:
+    for facts in ({}, {"height": person(0).height}):
+        who = compared(silent, file_of(person(7)), **facts)
+        assert who.doubt.startswith(f"{NAMED}50 frames fit worse by ")
+        assert who.subject is None
+        assert who.informed(silent[1]) is silent[1]
+        right = file_of(person(0))
+        assert compared(silent, right, **facts) == Person(right)
+
+
+def test_sensors_and_floor_show_a_body_of_another_size_where_the_height_is_not_given(
+    silent: tuple[Motion, Recording],
+) -> None:
+    large = file_of(person(0).with_height(1.15 * person(0).height))
+    assert "accelerations are those of a body 0.9" in compared(silent, large).doubt
+    right, words = file_of(person(0)), f"{NAMED}the feet stand 0.30 m over the floor, unless that is wrong"
+    assert compared(silent, right, "rto", floor_height=-0.3).doubt == words
+    assert compared(silent, right, "rto", floor_height=-0.3, height=person(0).height).doubt == ""
+    assert compared(silent, right, "rto", floor_height=-1.0).doubt == ""  # rather the floor than the body
+
+
+def test_what_shows_no_bones_is_not_compared(silent: tuple[Motion, Recording]) -> None:
+    other, truth = file_of(person(7)), silent[0]
+    for mode in ("lift", "sf2", "imu"):
+        assert compared(silent, other, mode).subject is other
+    assert compared(silent, other, joint_offsets=truth.skeleton.joint_offsets).doubt != ""  # what is given is
+    video = silent[1].video
+    loose = replace(video, camera=replace(video.camera, uncertainty=CameraUncertainty(0.03, 0.03, 0.2)))
+    assert compared(silent, other, keypoints=loose).subject is other
+    unseen = replace(video, uv_px=np.full_like(video.uv_px, np.nan), confidence=0 * video.confidence)
+    assert compared(silent, other, "rto", keypoints=unseen).subject is other
 
 
 def quantity(kind: str, item: str, value: float, sigma: float, prior: float) -> Quantity:
@@ -212,6 +263,6 @@ def test_a_file_is_made_and_gets_better(tmp_path: Path) -> None:
     )
     update_subject(path, news_of_markers(body, sigma, "markers 2"), body.name)
     leg = read_subject(path).joint_offsets_m["LeftLeg"]
-    assert leg.sd == 0.004  # the markers' places are shared
+    assert leg.sd == 0.004  # not less: what is shared, 1.5 % of the length, is more
     other = {"height_m": Estimate[Any](value=1.7), "joint_offsets_m.LKnee": Estimate[Any](value=np.ones(3))}
     assert update_subject(path, other, "human36m") == ("P07: height_m: 1.7 ± 0.01",)

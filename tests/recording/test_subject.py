@@ -138,14 +138,15 @@ def test_estimates_merge_as_an_information_filter_in_any_order() -> None:
 
 
 def test_precisions_do_not_add_without_end() -> None:
-    subject = NOBODY
+    subject, leg = NOBODY, "joint_offsets_m.LeftLeg"
     for n in range(50):
-        subject, _ = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.41], 0.008, f"recording {n}")})
-    assert subject.joint_offsets_m["LeftLeg"].sd == 0.004
-    subject, _ = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.405], 0.001, "magnetic resonance")})
-    assert subject.joint_offsets_m["LeftLeg"].sd == 0.001  # one that is better counts as it is
-    subject, said = merged(subject, {"joint_offsets_m.LeftLeg": of([0.0, 0.0, -0.42], 0.008, "recording 51")})
-    assert subject.joint_offsets_m["LeftLeg"].sd == 0.001
+        news = {leg: of([0.0, 0.0, -0.4], 0.008, f"recording {n}"), "mass_kg": of(70.0, 3.0, f"recording {n}")}
+        subject, _ = merged(subject, news)
+    assert (subject.known[leg].sd, subject.known["mass_kg"].sd) == (0.006, 0.5)
+    subject, _ = merged(subject, {leg: of([0.0, 0.0, -0.405], 0.001, "magnetic resonance")})
+    assert subject.known[leg].sd == 0.001  # one that is better counts as it is
+    subject, said = merged(subject, {leg: of([0.0, 0.0, -0.41], 0.008, "recording 51")})
+    assert subject.known[leg].sd == pytest.approx(0.001, rel=0.01)
     assert said[0].startswith("joint_offsets_m.LeftLeg: ")
 
 
