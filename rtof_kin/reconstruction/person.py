@@ -54,7 +54,8 @@ _ALIKE: Final = 8.0  #: [nats] of a fragment that count as one
 _USUAL_LARGER, _SIGMA_LARGER = 0.007, 0.019  #: [1] Mean and standard deviation of `_Fit.larger` with the right bones
 _SIGMA_ANKLE, _TILT = 0.033, 0.0067  #: [m] The latter of `_Fit.ankle`, and per m of distance: 0.4 degrees of the camera
 _FLOOR_WRONG: Final = 0.6  #: [m] between ankle and floor from which the floor is more likely wrong than the body
-ANOTHER: Final = 6.5  #: Sum of contradictions beyond which a file is of another person
+ANOTHER: Final = 6.5
+"""Sum of contradictions beyond which a file is of another person (benchmarks/results/subject.md)."""
 _News = Mapping[str, tuple[Array | float, float]]  # Value and standard deviation by field
 
 
@@ -76,15 +77,23 @@ class Person:
     def seen(
         self, source: RecordingSource, mode: Mode, lifter: LifterLike | None, settings: ReconstructionSettings
     ) -> Person:
-        """Return the person after the file's bones were compared with the motion of a recording."""
+        """Return the person after the file's bones were compared with the motion of a recording: where they contradict
+        it, nothing of the file is used; where it fits no better with them, no bones and no posture.
+        """
         if self.subject is None:
             return self
-        found = contradictions_by_motion(self.subject, source, mode, lifter, settings)
-        if sum(found.values()) <= ANOTHER:
+        worse, found = contradictions_by_motion(self.subject, source, mode, lifter, settings)
+        name, score = self.subject.path.name, sum(found.values())
+        if score > ANOTHER:
+            said = " and ".join(words for words, share in found.items() if share > score / 4)
+            doubt = f"{name} is likely of another person and is not used: with its bones, {said}"
+            return replace(self, subject=None, doubt=doubt)
+        kept = {path: one for path, one in self.subject.known.items() if not path.startswith(("joint_", "posture_"))}
+        if worse <= 0 or len(kept) == len(self.subject.known):
             return self
-        said = " and ".join(words for words, share in found.items() if share > ANOTHER / 4)
-        doubt = f"{self.subject.path.name} is likely of another person and is not used: with its bones, {said}"
-        return replace(self, subject=None, doubt=doubt)
+        remark = f"bones and posture of {name} are not used: the motion fits no better with its bones than without"
+        subject = self.subject.with_known(kept, self.subject.history)
+        return replace(self, subject=subject, remarks=(*self.remarks, remark))
 
     def informed(self, source: RecordingSource) -> RecordingSource:
         """Return the recording with what is known of its person where it is silent."""
@@ -134,47 +143,44 @@ class _Fit:
     """How a body fits an excerpt of a recording."""
 
     energy: float  # [nats] of a fragment, negative logarithm of its probability
-    larger: float  # [1] by which accelerations would have the body larger; NaN without sensors
-    ankle: float  # [m] of a standing ankle over its usual height, by the size of the body; NaN without a floor
-    distance: float  # [m] from the camera
     sigma_px: float
+    larger: float = float("nan")  # [1] by which accelerations would have the body larger; NaN without sensors
+    ankle: float = float("nan")
+    """[m] of a standing ankle over its usual height where the body is placed by its size; NaN without a floor"""
+    distance: float = float("nan")  # [m] from the camera
 
     @classmethod
-    def of(cls, job: Job, mode: Mode, sigma_px: float | None = None) -> _Fit:
-        """Fit a job; `sigma_px`: of the landmarks, by default that of the residuals."""
-        prepared = job.prepare(mode)
-        sensed, solver, recording = prepared.bone_imus is not None, job.settings.fragment, prepared.recording
+    def of(cls, job: Job, mode: Mode, sigma_px: float | None = None, sized: bool = False) -> _Fit:
+        """Fit a job; `sigma_px`: of the landmarks, by default that of the residuals; `sized`: with what shows size."""
+        prepared, solver = job.prepare(mode), job.settings.fragment
         assert isinstance(solver, JointSpaceSettings)
+        recording, sensed = prepared.recording, prepared.bone_imus is not None
         part = Slice(recording, prepared.guess, prepared.bone_imus)
         excerpt = Excerpt.chosen([part], job.settings.frames, solver, _FITTED)
         priors = CalibrationPriors(sigma_size=0.08, sigma_proportion=0.04)
         priors = priors if sensed else replace(priors, sigma_delay=None, sigma_swing=None)
-        fragments, larger, stands = fragments_of(excerpt, priors, solver), np.nan, None
+        fragments = fragments_of(excerpt, priors, solver)
         fragments.begin(sigma_px)
         y = np.zeros(len(fragments.prior))
-        if sensed:
+        found = cls(fragments.settle(fragments.corrected(y, full=True)) / len(excerpt.fragments), fragments.sigma_px)
+        if sized and sensed:
             given = fragments.corrected(y)
             fragments.settle(given)
             information, slope = fragments.profile(given, y)
-            y_found = -np.linalg.solve(information + fragments.prior, slope)
+            found_y = -np.linalg.solve(information + fragments.prior, slope)
             kinds = [unknown.name for unknown in fragments.unknowns]
-            larger = float(y_found[fragments.columns[kinds.index("bones")]].mean())
-        if recording.floor_height is not None:
-            stands = standing(prepared.lifted.poses, recording.video, sensed)
-        return cls(
-            fragments.settle(fragments.corrected(y, full=True)) / len(excerpt.fragments),
-            larger,
-            np.nan if stands is None else stands.height - (recording.floor_height or 0.0) - ANKLE_HEIGHT,
-            np.nan if stands is None else stands.distance,
-            fragments.sigma_px,
-        )
+            found = replace(found, larger=float(found_y[fragments.columns[kinds.index("bones")]].mean()))
+        stands = standing(prepared.lifted.poses, recording.video, sensed) if sized else None
+        if stands is None or recording.floor_height is None:
+            return found
+        return replace(found, ankle=stands.height - recording.floor_height - ANKLE_HEIGHT, distance=stands.distance)
 
 
 def contradictions_by_motion(
     subject: Subject, source: RecordingSource, mode: Mode, lifter: LifterLike | None, settings: ReconstructionSettings
-) -> dict[str, float]:
-    """Return how much an excerpt of a recording contradicts the bones of a file, by words on what does; nothing where
-    it cannot. It is solved with the file's bones and with those that the recording has alone.
+) -> tuple[float, dict[str, float]]:
+    """Return the energy below, and how much an excerpt of a recording contradicts the bones of a file, by words on what
+    does; 0 and nothing where it cannot. It is solved with the file's bones and with those that the recording has alone.
 
     ::
 
@@ -187,29 +193,30 @@ def contradictions_by_motion(
     """
     facts = subject.informed(source.facts)
     if "joint_offsets" not in facts or mode not in ("rto", "rtof"):
-        return {}
+        return 0.0, {}
     bones = {name: facts[name] for name in ("height", "joint_offsets") if name in facts}
     middle = (source.start_s + source.stop_s) / 2
     try:
         job = Job.of(source.between(middle - _LONGEST / 2, middle + _LONGEST / 2), None, lifter, settings)
         job = job.with_solver(None)
         if job.recording.video.camera.uncertainty or not isinstance(job.settings.fragment, JointSpaceSettings):
-            return {}
+            return 0.0, {}
         own: Mode = "rtof" if job.sensed(mode) and as_declared(job) else "rto"
         alone = _Fit.of(job, own)
-        fit = _Fit.of(replace(job, recording=replace(job.recording, **bones)), own, alone.sigma_px)
+        other = replace(job, recording=replace(job.recording, **bones))
+        fit = _Fit.of(other, own, alone.sigma_px, sized=source.facts.height is None)
     except RtofError:  # the reconstruction says so
-        return {}
+        return 0.0, {}
     worse = fit.energy - alone.energy
     found = {f"{job.settings.frames} frames fit worse by {worse:.0f} nats": worse / _ALIKE}
-    if source.facts.height is None and np.isfinite(fit.larger):
+    if np.isfinite(fit.larger):
         words = f"the sensors' accelerations are those of a body {1 + fit.larger:.2f} times as large"
         found[words] = ((fit.larger - _USUAL_LARGER) / _SIGMA_LARGER) ** 2
-    if source.facts.height is None and abs(fit.ankle) < _FLOOR_WRONG:
+    if abs(fit.ankle) < _FLOOR_WRONG:
         where = "over" if fit.ankle > 0 else "under"
         words = f"the feet stand {abs(fit.ankle):.2f} m {where} the floor, unless that is wrong"
         found[words] = (fit.ankle / np.hypot(_SIGMA_ANKLE, _TILT * fit.distance)) ** 2
-    return found
+    return worse, found
 
 
 def update_subject(path: Path, news: Mapping[str, Estimate[Any]], skeleton: str, doubt: str = "") -> tuple[str, ...]:

@@ -142,6 +142,17 @@ def test_sensors_and_floor_show_a_body_of_another_size_where_the_height_is_not_g
     assert compared(silent, right, "rto", floor_height=-1.0).doubt == ""  # rather the floor than the body
 
 
+def test_bones_that_fit_no_better_are_not_used_and_the_rest_of_the_file_is(silent: tuple[Motion, Recording]) -> None:
+    subject, _ = merged(file_of(person(7)), {"mass_kg": Estimate[Any](value=60.0)})
+    who = compared(silent, subject, "rto", height=person(0).height)  # without sensors that show it
+    words = "bones and posture of P07.toml are not used: the motion fits no better with its bones than without"
+    assert (who.doubt, who.remarks) == ("", (words,))
+    assert who.subject is not None
+    assert set(who.subject.known) == {"mass_kg"}
+    thin, _ = merged(Subject.of({"subject": "P07"}, Path("P07.toml")), {"height_m": Estimate[Any](value=1.8)})
+    assert compared(silent, thin, "rto", floor_height=None).subject is thin  # has neither
+
+
 def test_what_shows_no_bones_is_not_compared(silent: tuple[Motion, Recording]) -> None:
     other, truth = file_of(person(7)), silent[0]
     for mode in ("lift", "sf2", "imu"):
