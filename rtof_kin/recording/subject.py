@@ -46,6 +46,7 @@ SHARED_SD: Final = {
 share do not add: estimates of bones from 43 recordings had a common error of 1.7 % (benchmarks/results/subject.md).
 """
 _UNKNOWN: Final = 0.036  #: Standard deviation of bones by the height, relative to their length
+_HEIGHT_BY_BONES: Final = 0.04  #: [m] Standard deviation of the height that bones make
 _Value = TypeVar("_Value")
 Identifier = Annotated[
     str,
@@ -296,8 +297,10 @@ def contradictions(subject: Subject, recording: Recording) -> tuple[str, tuple[s
     numbers of the right person's bones, one in six files has one beyond `CONTRADICTION`.
     """
     known, same = subject.known, subject.skeleton == recording.skeleton_table
-    given = given_by(recording, "").items()
-    shared = {path: new for path, new in given if path in known and (same or "." not in path)}
+    given = given_by(recording, "")
+    if recording.bones_given and not recording.bone_lengths:
+        given = {"height_m": Estimate[Any](value=recording.skeleton.height, sd=_HEIGHT_BY_BONES)} | given
+    shared = {path: new for path, new in given.items() if path in known and (same or "." not in path)}
     found = {path: why for path, new in shared.items() if (why := contradiction(path, known[path], new))}
     name, kinds = subject.path.name, {path.replace("Left", "").replace("Right", "") for path in found}
     if "height_m" not in kinds and len(kinds) < 2:

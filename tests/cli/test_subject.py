@@ -52,11 +52,11 @@ def test_the_file_of_another_person_is_named_first(short: Path, tmp_path: Path, 
     file.write_text('subject = "P07"\nheight_m = { value = 1.2 }\n')
     options = ("--mode", "lift", "--no-figures", "--subject", file)
     done = cli.ok("reconstruct", short, "-o", tmp_path / "out", *options, "--update-subject")
-    sentence = "P07.toml is likely of another person and is not used: joint_offsets_m.LeftLeg"
+    sentence = "P07.toml is likely of another person and is not used: height_m 1.73"
     done.says(f"subject P07: nothing is merged: {sentence}")
     assert sentence in done.out[: len(done.out) // 2]
     kept = tomllib.loads(file.read_text())
-    assert kept["joint_offsets_m"] == {"LeftLeg": {"value": [0.0, 0.0, -0.6], "sd": 0.01}}
+    assert kept["height_m"] == {"value": 1.2}
     assert all(rows[-1]["refused"] for rows in kept["history"].values())
 
 
