@@ -45,7 +45,6 @@ class Planted:
     """A person."""
 
     seed: int
-    height: float
     body: SkeletonModel
 
     @classmethod
@@ -55,12 +54,12 @@ class Planted:
         height = float(rng.uniform(1.50, 1.95)) if height is None else height
         sizes = {joint: 1 + PROPORTION * rng.normal() for joint in USUAL.names if not joint.startswith("Right")}
         lengths = {j: sizes[j.replace("Right", "Left")] * length for j, length in USUAL.bone_lengths.items()}
-        return cls(seed, height, USUAL.with_bone_lengths(lengths).with_height(height))
+        return cls(seed, USUAL.with_bone_lengths(lengths).with_height(height))
 
     def file(self) -> Subject:
         """Return the person's file."""
         rng = np.random.default_rng([self.seed, 9])
-        height = {"value": self.height + rng.normal(0, HEIGHT_SD), "sd": HEIGHT_SD}
+        height = {"value": self.body.height + rng.normal(0, HEIGHT_SD), "sd": HEIGHT_SD}
         still = np.tile(np.eye(3), (1, len(USUAL.names), 1, 1))
         poses = PoseSequence(np.zeros(1), np.zeros((1, len(USUAL.names), 3)), still, USUAL.names)
         bones, posture = {}, {}
@@ -82,7 +81,7 @@ class Planted:
         poses = clip.poses[first : first + count]
         poses = replace(poses, times=poses.times - poses.times[0])
         poses = rerigged(replace(clip, subject=f"P{self.seed}", poses=poses)).poses
-        scale = self.height / USUAL.with_offsets(clip.joint_offsets).height
+        scale = self.body.height / USUAL.with_offsets(clip.joint_offsets).height
         p_root, R = scale * poses.p_world_joint[:, 0], poses.R_world_bone
         p = kinematics.positions(USUAL.parents, self.body.joint_offsets, p_root, R)
         p[..., 2] += 0.06 - p[..., 2].min()
@@ -105,30 +104,29 @@ def rows_of(seed: int, clip: MocapClip) -> Iterator[dict[str, Any]]:
     """Yield what each file does to recordings of a person."""
     rng = np.random.default_rng([seed, 5])
     me, other = Planted.of(seed), Planted.of(1000 + seed)
-    alike = Planted.of(2000 + seed, me.height + float(rng.normal(0, 0.01)))
+    alike = Planted.of(2000 + seed, me.body.height + float(rng.normal(0, 0.01)))
     for sensors in ("0", "8"):
         filmed = me.filmed(clip, sensors)
         truth = filmed.truth
         assert truth is not None
         used = dict[str, tuple[float, float]]()  # hardly depends on what the recording gives
-        for gives, height in (("nothing", None), ("height", me.height)):
+        for gives, height in (("nothing", None), ("height", me.body.height)):
             recording = replace(filmed, truth=None, joint_offsets=np.empty((0, 3)), height=height)
             none = errors(recording, truth)
             for name, whose in (("right", me), ("another", other), ("same height", alike)):
                 file = whose.file()
-                who = Person.of(file, recording)
-                given, who = bool(who.doubt), who.seen(recording, recording.usual_mode, None, FAST)
+                who = Person.of(file, recording).seen(recording, recording.usual_mode, None, FAST)
                 used[name] = used.get(name) or errors(Person(file).informed(recording).whole(), truth)
                 result = none if who.doubt else used[name]
                 if who.remarks:  # no bones and no posture
                     result = none if gives == "height" else errors(who.informed(recording).whole(), truth)
-                row: dict[str, Any] = {"seed": seed, "sensors": sensors, "gives": gives, "file": name, "given": given}
-                row |= {"named": bool(who.doubt), "doubted": bool(who.remarks), "said": (who.doubt, *who.remarks)}
+                row: dict[str, Any] = {"seed": seed, "sensors": sensors, "gives": gives, "file": name}
+                row |= {"named": bool(who.doubt), "doubted": bool(who.remarks), "said": who.doubt}
                 yield row | {"none": none, "used": used[name], "result": result}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Return the rows as Markdown."""
+    """Return Markdown."""
     head = "sensors | recording gives | file | named | bones not used | rr none | with all of it | result"
     lines = [f"| {head} | abs none | result | rr harm: mean, 90 %, most |", "|" + "---|" * 11]
     for key in dict.fromkeys((row["sensors"], row["gives"], row["file"]) for row in rows):
@@ -136,7 +134,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         none, used, result = (np.array([row[name] for row in own]) for name in ("none", "used", "result"))
         harm = (result - none)[:, 0]
         counts = [f"{sum(row[name] for row in own)} of {len(own)}" for name in ("named", "doubted")]
-        means = [none[:, 0].mean(), used[:, 0].mean(), result[:, 0].mean(), none[:, 1].mean(), result[:, 1].mean()]
+        means = *(each[:, 0].mean() for each in (none, used, result)), none[:, 1].mean(), result[:, 1].mean()
         most = ", ".join(f"{value:+.1f}" for value in (harm.mean(), np.quantile(harm, 0.9), harm.max()))
         lines.append(f"| {' | '.join([*key, *counts, *(f'{value:.0f}' for value in means), most])} |")
     return "\n".join(lines)
@@ -151,17 +149,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "subject.json")
     options = parser.parse_args()
     rows, corpus = list[dict[str, Any]](), read_corpus(options.corpus)
-    test = [i for i, s in enumerate(corpus.subjects) if corpus.split[i] == "test" and s.startswith("CMU")]
+    test = [i for i in range(len(corpus.split)) if corpus.split[i] == "test" and corpus.subjects[i].startswith("CMU")]
     test = [i for i in test if corpus.start[i + 1] - corpus.start[i] >= FEWEST]
     people = sorted({corpus.subjects[i] for i in test})
     for seed in range(options.first, options.first + options.people):
         mine = [i for i in test if corpus.subjects[i] == people[seed % len(people)]]
         rows += rows_of(seed, built_clip(corpus, int(np.random.default_rng([seed, 11]).choice(mine))))
         count = seed - options.first + 1
-        text = (
-            f"# The file of another person\n\nMade by `python -m benchmarks subject`, {count} people.\n\n{table(rows)}"
-        )
-        write_results(options.out, rows, text)
+        head = f"# The file of another person\n\nMade by `python -m benchmarks subject`, {count} people."
+        write_results(options.out, rows, f"{head}\n\n{table(rows)}")
 
 
 if __name__ == "__main__":
