@@ -23,6 +23,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.resources import cache_folder
+from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT
 from rtof_kin.reconstruction.checks.camera import standing
 from rtof_kin.reconstruction.lift import LifterLike
