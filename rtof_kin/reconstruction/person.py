@@ -22,14 +22,13 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.core.resources import cache_folder
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT
 from rtof_kin.reconstruction.checks.camera import standing
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Job
-from rtof_kin.core.files.manifest import fingerprint
-from rtof_kin.data.confidence import Confidence
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import as_declared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
