@@ -18,7 +18,8 @@ from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups, place_swing
 from rtof_kin.calibration.shared_fragments import Excerpt, Shared, SharedFragments, Slice
-from rtof_kin.calibration.unknowns import Ankles, Bones, Delay, ImageBias, Sampled, Unknown, items_of, open_sensors
+from rtof_kin.calibration.straight_legs import straight_legs
+from rtof_kin.calibration.unknowns import Ankles, Bones, Delay, ImageBias, Places, Sampled, Unknown, items_of, open_sensors
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
@@ -58,10 +59,12 @@ def calibrate(
         fragments = fragments_of(replace(fragments.excerpt, left_out=slipped), priors, settings)
         fragments.begin()
     shared = fragments.estimate(priors.rounds, progress)
-    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior)
+    usual = np.diag(np.linalg.inv(fragments.prior))
+    prior = fragments.prior + shared.evidence
+    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, prior, usual)
     times = fragments.excerpt.times
     return SelfCalibration(
-        quantities=tuple(with_places(_doubted(q, slices, shared), recording.skeleton) for q in quantities),
+        quantities=tuple(_doubted(q, slices, shared) for q in quantities if q.kind != "place"),
         middle=float(times[0] + times[-1]) / 2,
         converged=shared.converged,
     )
@@ -97,7 +100,8 @@ def fragments_of(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpa
 
     unknowns = _unknowns(excerpt, priors, sampled)
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
-    return SharedFragments(excerpt, unknowns, EFFECTIVE_SECONDS / max(seconds, EFFECTIVE_SECONDS))
+    legs = straight_legs([(part.bone_imus, part.guess.poses) for part in excerpt.slices], sensors)
+    return SharedFragments(excerpt, unknowns, EFFECTIVE_SECONDS / max(seconds, EFFECTIVE_SECONDS), legs)
 
 
 def _sensed(recording: Recording) -> BoneImuSequence:
@@ -145,6 +149,10 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
     if p.sigma_image_bias is not None:
         sizes = p.sigma_image_bias * _height_px(excerpt.slices) / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(ImageBias(data.names, sizes))
+    if p.sigma_place is not None and data.attached.free.any():
+        joints = tuple(sorted({*data.points.anchors}))
+        names, of_point = (skeleton.names[j] for j in joints), map(joints.index, data.points.anchors)
+        found.append(Places(tuple(names), tuple(of_point), p.sigma_place))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(Ankles(p.sigma_ankle_height))
     if not found:

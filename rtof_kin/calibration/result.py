@@ -33,6 +33,7 @@ _KINDS: Final = {
     "mounting": (3, *_DEGREES),
     "bones": (1, 100.0, "%"),
     "image bias": (2, 1.0, "px"),
+    "place": (3, 1e3, "mm"),
     "ankle height": (1, 1e3, "mm"),
 }
 """Kind -> largest count of its numbers, factor and unit for display; the second number of a delay is the drift of the

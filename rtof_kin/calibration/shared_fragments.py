@@ -29,6 +29,7 @@ from scipy.optimize import minimize_scalar
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, UnknownsHessian, finished
 from rtof_kin.calibration.priors import OVERCOUNT, WEIGHT_POSES
 from rtof_kin.calibration.residuals import CalibrationObservations
+from rtof_kin.calibration.straight_legs import StraightLeg
 from rtof_kin.calibration.unknowns import Unknown, columns_of, corrected
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -184,6 +185,7 @@ class Shared:
 
     y: Array  # (G,) the estimate
     hessian: Array  # (G, G) of the energy as a function of the unknowns alone, with their prior
+    evidence: Array  # (G, G) part of it by straight legs
     energies: tuple[float, ...]  # Before the first and after every accepted step
     converged: bool
     doubts: dict[int, str]  # Column of a searched unknown -> reason why the search may have failed
@@ -199,14 +201,17 @@ class SharedFragments:
         sigma_px: of the landmarks.
     """
 
-    def __init__(self, excerpt: Excerpt, unknowns: Sequence[Unknown], weight: float) -> None:
+    def __init__(
+        self, excerpt: Excerpt, unknowns: Sequence[Unknown], weight: float, legs: Sequence[StraightLeg] = ()
+    ) -> None:
         """Take the fragments.
 
         Args:
             unknowns: in the order in which they correct the observations; a delay is the first.
             weight: of residuals relative to a reconstruction; of postures `WEIGHT_POSES` times as much.
+            legs: evidence of the mountings.
         """
-        self.excerpt, self.unknowns, self._weight = excerpt, tuple(unknowns), weight
+        self.excerpt, self.unknowns, self._weight, self.legs = excerpt, tuple(unknowns), weight, tuple(legs)
         self.data = excerpt.data[0]
         self._given = excerpt.observations
         self._start = excerpt.joined([own.start for own in excerpt.data])
@@ -236,7 +241,7 @@ class SharedFragments:
             self.begin()
         report(1, rounds + 1)
         y, energies, converged = self._searched() if start is None else start, [], False
-        best, step, given = (np.inf, y), np.zeros_like(y), self.prior
+        best, step, given, evidence = (np.inf, y), np.zeros_like(y), self.prior, np.zeros_like(self.prior)
         shrinking = [c for u, c in zip(self.unknowns, self.columns, strict=True) if u.shrinks]
         for done in range(rounds + 1):
             given_y = self.corrected(y)
@@ -254,15 +259,27 @@ class SharedFragments:
                 break
             information, slope = self.profile(given_y, y)
             self.prior = learned_precision(given, information, slope, y, shrinking)
-            hessian = information + self.prior
-            step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
+            r, J = self.straightness(y)
+            evidence = J.T @ J
+            hessian = information + self.prior + evidence
+            step = -cho_solve(cho_factor(hessian), slope + self.prior @ y + J.T @ r)
             y = y + step
         y = best[1]
         report(rounds + 1, rounds + 1)
-        return Shared(y, hessian, tuple(energies), converged, self._doubts)
+        return Shared(y, hessian, evidence, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
-        return 0.5 * float(y @ self.prior @ y)
+        return 0.5 * float(y @ self.prior @ y + np.sum(self.straightness(y)[0] ** 2))
+
+    def straightness(self, y: Array) -> tuple[Array, Array]:
+        """Return whitened residuals (m,) of straight legs and their derivatives (m, G) at y (G,)."""
+        own = next((c for u, c in zip(self.unknowns, self.columns, strict=True) if u.name == "mounting"), None)
+        if own is None or not self.legs:
+            return np.zeros(0), np.zeros((0, len(y)))
+        r, by_mounting = (np.concatenate(v) for v in zip(*(leg.residuals(y[own].reshape(-1, 3)) for leg in self.legs)))
+        J = np.zeros((len(r), len(y)))
+        J[:, own] = by_mounting
+        return r, J
 
     def _searched(self) -> Array:
         """(G,) with the searched unknowns at the smallest energy, all others at zero.

@@ -10,10 +10,12 @@ zero without an error; their prior is normal about zero.
     mounting    R_world_bone = R_measured exp(y)                            rad, in the segment's axes
     bones       offset_j = (1 + y_g) given_j for the joints of a group g    1
     image       uv_true = uv_seen - y, for each landmark                    px
+    place       p_bone_point = given + y for a detector's points of a joint m
     ankles      height of an ankle over the floor it stands on = given + y  m
 
 A recording does not show lever arms, drifts of headings, the neutral posture, the camera's tilt or a focal length that
-is right to 2 % (docs/calibration.md): they are not unknowns. A drift of the clocks is found before (`clocks`).
+is right to 2 % (docs/calibration.md): they are not unknowns. It hardly shows places either, but mountings are no better
+known than they are. A drift of the clocks is found before (`clocks`).
 """
 
 from __future__ import annotations
@@ -301,6 +303,33 @@ class ImageBias(Unknown):
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
         """Derivatives by each landmark's own bias."""
         return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.x), len(self.items), 2, 2))))
+
+
+@dataclass(frozen=True)
+class Places(Unknown):
+    """Where a detector sees each joint: an error that the points next to it share, in the axes of their segments."""
+
+    items: tuple[str, ...]
+    of_point: tuple[int, ...]  # Item of each of the L points
+    sigma: float  # [m] per axis
+    name = "place"
+    nuisance = True
+
+    @property
+    def covariance(self) -> Array:
+        """(3K, 3K), joint after joint."""
+        return np.eye(3 * len(self.items)) * self.sigma**2
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Move the points in their segments."""
+        return given.known(places=given.constant["places"] + y.reshape(-1, 3)[list(self.of_point)].T)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives along the segments' axes."""
+        turned = at.R[:, list(at.joints.landmarks)] * at.joints.free[..., None]
+        mine = np.array(self.of_point)[:, None] == np.arange(len(self.items))
+        points = turned[..., None, :] * mine[:, None, :, None]
+        return Changes(points=points.reshape(*turned.shape[:3], len(y)))
 
 
 @dataclass(frozen=True)
