@@ -20,6 +20,7 @@ import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -217,7 +218,9 @@ def rows_of(case: str, clip: MocapClip, place: str, seed: int) -> Iterator[Row]:
             }
 
 
-def walks(corpus: Path, people: Sequence[str], seconds: Sequence[float]) -> Iterator[tuple[str, float, bool, MocapClip]]:
+def walks(
+    corpus: Path, people: Sequence[str], seconds: Sequence[float]
+) -> Iterator[tuple[str, float, bool, MocapClip]]:
     """Person, seconds, whether with a still second, and the motion."""
     names = {n for person in people for n in WALKS[person]}
     clips = {c.name: c for c in harness.whole_clips(corpus, list(people), sorted(names))}
@@ -235,21 +238,19 @@ def walks(corpus: Path, people: Sequence[str], seconds: Sequence[float]) -> Iter
 def report(rows: Sequence[Row]) -> str:
     """Tables as Markdown."""
     lines = [f"# The zero of knees and elbows\n\n{(__doc__ or '').partition(chr(10))[2].strip()}\n"]
-    heads = ["hinge", "case", "still second", "constant: median", "90 %", "most", "curve", "all", "inside 95 %", "stated"]
+    heads = ["hinge", "case", "still second", "constant: median", "90 %", "most", "curve", "inside 95 %", "stated"]
     lines += [f"| {' | '.join([*heads, 'sides'])} |", "|---" * (len(heads) + 1) + "|"]
-    for hinge in ANGLES:
-        for case in CASES:
-            for still in (False, True):
-                own = [r for r in rows if (r["hinge"], r["case"], r["still"]) == (hinge, case, still)]
-                if own:
-                    size = np.abs([r["constant_deg"] for r in own])
-                    means = [np.mean([r[k] for r in own]) for k in ("curve_deg", "all_deg")]
-                    figures = [np.median(size), np.percentile(size, 90), size.max(), *means]
-                    ends = [f"{np.mean([r['inside'] for r in own]):.2f}", f"{np.mean([r['stated_deg'] for r in own]):.1f}"]
-                    about = [hinge, case, "yes" if still else "no", *(f"{f:.1f}" for f in figures), *ends, str(len(own))]
-                    lines.append(f"| {' | '.join(about)} |")
+    for hinge, case, still in product(ANGLES, CASES, (False, True)):
+        own = [r for r in rows if (r["hinge"], r["case"], r["still"]) == (hinge, case, still)]
+        if own:
+            size = np.abs([r["constant_deg"] for r in own])
+            curve, inside, stated = (np.mean([r[k] for r in own]) for k in ("curve_deg", "inside", "stated_deg"))
+            figures = [f"{f:.1f}" for f in (np.median(size), np.percentile(size, 90), size.max(), curve)]
+            about = [hinge, case, "yes" if still else "no", *figures, f"{inside:.2f}", f"{stated:.1f}", str(len(own))]
+            lines.append(f"| {' | '.join(about)} |")
     lines += ["\nKnees, constant error in degrees, left and right:\n"]
-    lines += ["| person | seconds | still second | camera | " + " | ".join(CASES) + " |", "|---" * (4 + len(CASES)) + "|"]
+    heads = ["person", "seconds", "still second", "camera", *CASES]
+    lines += [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for key in dict.fromkeys((r["person"], r["seconds"], r["still"], r["camera"]) for r in rows):
         cells = []
         for case in CASES:

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import Quantity, SelfCalibration
+from rtof_kin.calibration.result import Quantity, SelfCalibration, across
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -69,7 +69,7 @@ class SensorAlignment:
     joint: str  # Segment that carries it
     heading: float  # [rad] About z from the sensor's own reference to world
     sigma_heading: float  # [rad]
-    sigma_mounting: float  # [rad] Root mean square of the three axes, the detector's place errors included
+    sigma_mounting: float  # [rad] About an axis across the bone, with the error of the detector's places
     doubt: str = ""  # What may be wrong and what to do, in a sentence; empty where sure
 
 
@@ -146,7 +146,7 @@ def align_sensors(
     if refine is not None:
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
         calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, refine, priors)
-    sensors = _judged(calibration, starts, refined)
+    sensors = _judged(calibration, starts, refined, skeleton)
     stated = np.degrees([sensor.sigma_mounting for sensor in sensors]).round(1)
     calibration = replace(calibration, mounting_sd_deg=stated)
     for doubt in dict.fromkeys(sensor.doubt for sensor in sensors if sensor.doubt):
@@ -274,14 +274,14 @@ def _refined(
 
 
 def _judged(
-    calibration: ImuCalibration, starts: list[_Start], refined: SelfCalibration | None
+    calibration: ImuCalibration, starts: list[_Start], refined: SelfCalibration | None, skeleton: SkeletonModel
 ) -> tuple[SensorAlignment, ...]:
     out, known = [], {} if refined is None else {(q.kind, q.item): q.sigma for q in refined.quantities if q.observed}
     for s, (sensor, joint, start) in enumerate(zip(calibration.sensors, calibration.joints, starts, strict=True)):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
         sigma = float(known.get(("heading", joint), [start.sigma])[0])
-        axes = np.asarray(known.get(("mounting", joint), [_SWING, _SWING, _TWIST]))
-        mounting = float(np.sqrt(np.mean(axes**2)))
+        axes = known.get(("mounting", joint))
+        mounting = _SWING if axes is None else across(skeleton, joint, axes)
         doubt = ""
         if start.margin < _MARGIN:
             doubt = (

@@ -13,13 +13,22 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
-from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups, place_swing
+from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.calibration.shared_fragments import Excerpt, Shared, SharedFragments, Slice
 from rtof_kin.calibration.straight_legs import straight_legs
-from rtof_kin.calibration.unknowns import Ankles, Bones, Delay, ImageBias, Places, Sampled, Unknown, items_of, open_sensors
+from rtof_kin.calibration.unknowns import (
+    Ankles,
+    Bones,
+    Delay,
+    ImageBias,
+    Places,
+    Sampled,
+    Unknown,
+    items_of,
+    open_sensors,
+)
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
@@ -151,21 +160,13 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
         found.append(ImageBias(data.names, sizes))
     if p.sigma_place is not None and data.attached.free.any():
         joints = tuple(sorted({*data.points.anchors}))
-        names, of_point = (skeleton.names[j] for j in joints), map(joints.index, data.points.anchors)
-        found.append(Places(tuple(names), tuple(of_point), p.sigma_place))
+        seen = tuple(skeleton.names[j] for j in joints)
+        found.append(Places(seen, tuple(map(joints.index, data.points.anchors)), p.sigma_place))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(Ankles(p.sigma_ankle_height))
     if not found:
         raise CalibrationError("nothing is left open: give at least one standard deviation")
     return found
-
-
-def with_places(quantity: Quantity, skeleton: SkeletonModel) -> Quantity:
-    """Return a mounting with the detector's place errors in its standard deviation; others as they are."""
-    if quantity.kind != "mounting" or quantity.verdict is Verdict.PRIOR:
-        return quantity
-    place = np.minimum(place_swing(skeleton, quantity.item), quantity.sigma_prior)
-    return replace(quantity, sigma=np.hypot(quantity.sigma, place))
 
 
 def _height_px(slices: Sequence[Slice]) -> float:

@@ -54,11 +54,6 @@ BONE_GROUPS: Final = {
 """Joints at the ends of the bones that are estimated together."""
 
 
-PLACE_ERROR: Final = 0.025
-"""[m] Standard deviation of the constant distance between a joint and where a detector sees it; 20 to 30 mm
-were measured at the knees of people on a treadmill."""
-
-
 class Verdict(Enum):
     """How well a quantity was observed."""
 
@@ -187,12 +182,10 @@ class SelfCalibration:
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
         return recording
 
-    def place_variances(self, skeleton: SkeletonModel) -> dict[str, float]:
-        """Return the variance, rad^2, that the detector's place errors add to each estimated mounting, by
-        segment: no more than the mounting was uncertain before.
-        """
+    def mounting_variances(self, skeleton: SkeletonModel) -> dict[str, float]:
+        """Return the variance, rad^2, that each estimated mounting has about an axis across its bone, by segment."""
         return {
-            q.item: min(place_swing(skeleton, q.item), float(q.sigma_prior.max())) ** 2
+            q.item: across(skeleton, q.item, q.sigma) ** 2
             for q in self.quantities
             if q.kind == "mounting" and q.verdict is not Verdict.PRIOR
         }
@@ -244,12 +237,10 @@ class SelfCalibration:
         return replace(imus, times=self.on_clock(seen))
 
 
-def place_swing(skeleton: SkeletonModel, joint: str) -> float:
-    """Return the standard deviation, rad, of a segment whose ends are both seen `PLACE_ERROR` beside the joints."""
-    j = skeleton.names.index(joint)
-    ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]
-    length = max((float(np.linalg.norm(end)) for end in ends), default=0.2)
-    return float(np.arctan(np.sqrt(2) * PLACE_ERROR / max(length, PLACE_ERROR)))
+def across(skeleton: SkeletonModel, joint: str, sigma: Array) -> float:
+    """Return the root mean square of standard deviations (3,) in a segment's axes about axes across its bone."""
+    share = 1 - skeleton.bone_axis(joint) ** 2
+    return float(np.sqrt(np.sum(share * sigma**2) / np.sum(share)))
 
 
 def _rms(values: Array) -> float:

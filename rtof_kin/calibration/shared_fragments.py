@@ -276,7 +276,8 @@ class SharedFragments:
         own = next((c for u, c in zip(self.unknowns, self.columns, strict=True) if u.name == "mounting"), None)
         if own is None or not self.legs:
             return np.zeros(0), np.zeros((0, len(y)))
-        r, by_mounting = (np.concatenate(v) for v in zip(*(leg.residuals(y[own].reshape(-1, 3)) for leg in self.legs)))
+        found = [leg.residuals(y[own].reshape(-1, 3)) for leg in self.legs]
+        r, by_mounting = (np.concatenate(values) for values in zip(*found, strict=True))
         J = np.zeros((len(r), len(y)))
         J[:, own] = by_mounting
         return r, J

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
@@ -73,18 +73,21 @@ def straight_legs(
         slices: of one recording: sensors, and poses at the same even times. sensors: S segments.
     """
     legs = [leg for leg in LEGS if {*leg} <= {*sensors}]
-    parts = [_postures(imus, poses, legs) for imus, poses in slices if {j for leg in legs for j in leg} <= {*imus.joints}]
+    parts = [
+        _postures(imus, poses, legs) for imus, poses in slices if {j for leg in legs for j in leg} <= {*imus.joints}
+    ]
     if not legs or not parts:
         return ()
     up, stands, walks = (np.concatenate(values) for values in zip(*parts, strict=True))
     found = []
-    for leg, own in zip(legs, np.swapaxes(up, 0, 1).reshape(len(legs), 2, -1, 3), strict=True):
+    for (thigh, shank), own in zip(legs, np.swapaxes(up, 0, 1).reshape(len(legs), 2, -1, 3), strict=True):
         chosen = np.flatnonzero(stands)
         if not len(chosen):
             frames = np.flatnonzero(walks)
             chosen = frames[np.argsort(_knee(own[:, frames]))[: len(frames) // 10]]
         if len(chosen):
-            found.append(StraightLeg((sensors.index(leg[0]), sensors.index(leg[1])), own[:, chosen], bool(stands.any())))
+            carriers = sensors.index(thigh), sensors.index(shank)
+            found.append(StraightLeg(carriers, own[:, chosen], bool(stands.any())))
     return tuple(found)
 
 
@@ -94,17 +97,16 @@ def _knee(up: Array) -> Array:
     return np.asarray(shank - thigh)
 
 
-def _postures(
-    imus: BoneImuSequence, poses: PoseSequence, legs: Sequence[tuple[str, str]]
-) -> tuple[Array, Mask, Mask]:
+def _postures(imus: BoneImuSequence, poses: PoseSequence, legs: Sequence[tuple[str, str]]) -> tuple[Array, Mask, Mask]:
     """Return verticals (T, 2 L, 3) in thighs and shanks, and in which frames (T,) the person stands and walks."""
     names = [joint for leg in legs for joint in leg]
     R, T, rate = imus.R_world_bone[:, [imus.joints.index(n) for n in names]], len(poses), poses.rate_hz
     up, known = R[..., 2, :], np.isfinite(R).all(axis=(1, 2, 3))
-    tall = poses.R_world_bone[:, [poses.names.index(n) for n in (*names, "Spine3")], 2, 2] > _UPRIGHT
+    upward = poses.R_world_bone[:, [poses.names.index(n) for n in (*names, "Spine3")], 2, 2]
+    tall = np.asarray(upward > _UPRIGHT)
     step, width = max(1, round(_STEP_S * rate)), max(1, round(_STILL_S * rate))
     turned = np.full((T, len(names)), np.inf)
-    if T > step:
+    if step < T:
         turned[step // 2 : T - step + step // 2] = so3.angle_between(R[:-step], R[step:]) * rate / step
     fast = np.where(np.isfinite(turned), np.minimum(turned, 10.0), 10.0).max(axis=1)
     stands = (uniform_filter1d(fast, width, mode="constant", cval=10.0) < _STILL) & known & tall.all(axis=1)
@@ -112,7 +114,7 @@ def _postures(
     window = round(_WINDOW_S * rate)
     for first in range(0, T - window + 1 if len(legs) == 2 else 0, window):
         own = slice(first, first + window)
-        if known[own].all() and tall[own, -1].all() and _strides(np.moveaxis(up[own], 0, 1)):
+        if bool(known[own].all() and np.all(tall[own, -1])) and _strides(np.moveaxis(up[own], 0, 1)):
             walks[own] = True
     return up, stands, walks & (walks.sum() >= _WALK_S * rate)
 

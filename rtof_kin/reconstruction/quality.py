@@ -97,11 +97,11 @@ def with_covariances(
 def mounting_variances(prepared: Prepared) -> dict[str, float]:
     """Return the variance, rad^2, about each axis of how a used sensor sits on its segment, by segment.
 
-    It is the larger of what the recording states and what a self-calibration leaves of the detector's place
-    errors: the video that refines a mounting has the errors of the one that it was found by.
+    It is the larger of what the recording states and what a self-calibration leaves: the video that refines a
+    mounting has the errors of the one that it was found by.
     """
     given, found, sensors = prepared.recording.calibration, prepared.calibration, prepared.bone_imus
-    variances = {} if found is None else found.place_variances(prepared.skeleton)
+    variances = {} if found is None else found.mounting_variances(prepared.skeleton)
     if sensors is not None and given is not None and given.mounting_sd_deg is not None:
         known = np.asarray(np.isfinite(sensors.R_world_bone).any(axis=(0, 2, 3)))
         used = [joint for joint, measured in zip(sensors.joints, known, strict=True) if measured]
