@@ -101,7 +101,7 @@ def _postures(imus: BoneImuSequence, poses: PoseSequence, legs: Sequence[tuple[s
     """Return verticals (T, 2 L, 3) in thighs and shanks, and in which frames (T,) the person stands and walks."""
     names = [joint for leg in legs for joint in leg]
     R, T, rate = imus.R_world_bone[:, [imus.joints.index(n) for n in names]], len(poses), poses.rate_hz
-    up, known = R[..., 2, :], np.isfinite(R).all(axis=(1, 2, 3))
+    up, known = R[..., 2, :], np.asarray(np.isfinite(R).all(axis=(1, 2, 3)))
     upward = poses.R_world_bone[:, [poses.names.index(n) for n in (*names, "Spine3")], 2, 2]
     tall = np.asarray(upward > _UPRIGHT)
     step, width = max(1, round(_STEP_S * rate)), max(1, round(_STILL_S * rate))
@@ -109,12 +109,12 @@ def _postures(imus: BoneImuSequence, poses: PoseSequence, legs: Sequence[tuple[s
     if step < T:
         turned[step // 2 : T - step + step // 2] = so3.angle_between(R[:-step], R[step:]) * rate / step
     fast = np.where(np.isfinite(turned), np.minimum(turned, 10.0), 10.0).max(axis=1)
-    stands = (uniform_filter1d(fast, width, mode="constant", cval=10.0) < _STILL) & known & tall.all(axis=1)
+    stands = (uniform_filter1d(fast, width, mode="constant", cval=10.0) < _STILL) & known & np.all(tall, axis=1)
     walks = np.zeros(T, dtype=bool)
     window = round(_WINDOW_S * rate)
     for first in range(0, T - window + 1 if len(legs) == 2 else 0, window):
         own = slice(first, first + window)
-        if bool(known[own].all() and np.all(tall[own, -1])) and _strides(np.moveaxis(up[own], 0, 1)):
+        if known[own].all() and tall[own, -1].all() and _strides(np.moveaxis(up[own], 0, 1)):
             walks[own] = True
     return up, stands, walks & (walks.sum() >= _WALK_S * rate)
 
