@@ -23,11 +23,12 @@ from scipy.optimize import least_squares
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, across
+from rtof_kin.calibration.straight_legs import LEGS, NEVER_STILL, straight_legs
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError, RtofError
-from rtof_kin.data.imu import ImuCalibration
+from rtof_kin.data.imu import BoneImuSequence, ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -146,6 +147,7 @@ def align_sensors(
     if refine is not None:
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
         calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, refine, priors)
+        warnings += _never_still(calibration, poses, log)
     sensors = _judged(calibration, starts, refined, skeleton)
     stated = np.degrees([sensor.sigma_mounting for sensor in sensors]).round(1)
     calibration = replace(calibration, mounting_sd_deg=stated)
@@ -271,6 +273,19 @@ def _refined(
     R_world_inertial[used], R_sensor_bone[used] = refined.R_world_inertial, refined.R_sensor_bone
     whole = replace(calibration, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone)
     return whole, found, ()
+
+
+def _never_still(calibration: ImuCalibration, poses: PoseSequence, log: SensorLog) -> tuple[str, ...]:
+    """Return the request for a still second where legs have sensors and the person never stands."""
+    imus = BoneImuSequence.joined([calibration.apply(imus_of_log(log))], poses.times)
+    legs = straight_legs([(imus, poses)], imus.joints)
+    if any(leg.still for leg in legs) or not any({*leg} <= {*imus.joints} for leg in LEGS):
+        return ()
+    by = "is that of other people who walk" if legs else "is as good as the detector's points"
+    return (
+        f"{NEVER_STILL}: the zero of knee flexion {by}; let the person stand upright with straight knees for two "
+        "seconds at the start or at the end",
+    )
 
 
 def _judged(

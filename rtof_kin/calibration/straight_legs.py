@@ -31,6 +31,7 @@ _WINDOW_S, _WALK_S = 2.0, 2.5  # [s] in which walking is recognised, and shortes
 _BENDS: Final = float(np.radians(30.0))  # Least range of both knees in such a window
 _ALTERNATE: Final = -0.4  # Largest correlation of both thighs in it
 LEGS: Final = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))
+NEVER_STILL: Final = "the person never stands still"  # Beginning of the note of a recording that was set up so
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,9 @@ def straight_legs(
         slices: of one recording: sensors, and poses at the same even times. sensors: S segments.
     """
     legs = [leg for leg in LEGS if {*leg} <= {*sensors}]
-    parts = [
-        _postures(imus, poses, legs) for imus, poses in slices if {j for leg in legs for j in leg} <= {*imus.joints}
-    ]
-    if not legs or not parts:
+    needed = {joint for leg in legs for joint in leg}
+    parts = [_postures(imus, poses, legs) for imus, poses in slices if needed and needed <= {*imus.joints}]
+    if not parts:
         return ()
     up, stands, walks = (np.concatenate(values) for values in zip(*parts, strict=True))
     found = []

@@ -227,7 +227,8 @@ def operator_steps(
         names = "; ".join(f"{name}: {where}" for name, where in sensors.items())
         steps += [
             f"Strap on {len(sensors)} sensor(s), tight, on skin or tight clothes. {names}.",
-            "Switch all sensors on together, then start the video; the person keeps still for 2 s.",
+            "Switch all sensors on together, then start the video; the person stands still for 2 s, upright, knees "
+            "straight, arms hanging: the zero of the knees is found by it.",
         ]
     else:
         steps.append("Start the video; the person keeps still for 2 s.")

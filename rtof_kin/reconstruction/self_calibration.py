@@ -24,6 +24,7 @@ from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
 from rtof_kin.calibration.shared_fragments import Slice
+from rtof_kin.calibration.straight_legs import NEVER_STILL
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError
@@ -381,8 +382,8 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     rates = [found.drift] if found.drift else []
     sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
     delay = _delay([found.offset, *rates], sigmas, found.doubt)
-    lines = jobs[0].recording.notes.splitlines()  # of another day, or of a clock in doubt
-    noted = tuple(line[line.index(note) :] for note in (DAYS_APART, CLOCK_DOUBT) for line in lines if note in line)
+    lines, told = jobs[0].recording.notes.splitlines(), (DAYS_APART, CLOCK_DOUBT, NEVER_STILL)
+    noted = tuple(line[line.index(note) :] for note in told for line in lines if note in line)
     if check.failed:
         return ClockOffset(checks=(check,), warnings=noted)
     if not found.doubt and not rates and found.sigma > _UNSHARP:

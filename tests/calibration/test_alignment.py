@@ -132,7 +132,7 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration()
     for old, new in zip(before.sensors[1:], after.sensors[1:], strict=True):
         assert abs(wrapped(new.heading - old.heading)) == pytest.approx(np.radians(5.0))
     assert np.degrees([s.sigma_heading for s in after.sensors[1:]]) == pytest.approx([1.0, 2.0, 3.0, 9.0])
-    assert after.calibration.mounting_sd_deg == pytest.approx([19.1, 1.0, 2.0, 3.0, 9.0])
+    assert after.calibration.mounting_sd_deg == pytest.approx([10.0, 1.0, 2.0, 3.0, 9.0])
     assert [bool(s.doubt) for s in after.sensors] == [True, False, False, False, True]
     assert "is not known to 4 degrees" in after.sensors[-1].doubt
     assert after.delay.value[0] == pytest.approx(0.004)

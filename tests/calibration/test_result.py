@@ -12,7 +12,6 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.estimate import with_places
 from rtof_kin.calibration.result import (
     Quantity,
     SelfCalibration,
@@ -227,15 +226,9 @@ def test_files_of_earlier_versions_with_the_errors_of_the_detector_are_read(tmp_
     assert len(read_self_calibration_toml(path).quantities) == 3
 
 
-def test_an_estimated_mounting_carries_the_place_errors_of_the_detector() -> None:
+def test_a_mounting_is_as_uncertain_as_about_axes_across_its_bone() -> None:
     body = SkeletonModel.default()
-    sigma_prior = np.radians([20.0, 20.0, 20.0])
-    free = Quantity("mounting", "LeftLeg", np.zeros(3), np.radians([2.0] * 3), sigma_prior, 0.95)
-    known = replace(free, item="RightLeg", sigma_prior=np.radians([2.0] * 3))
-    variances = SelfCalibration((free, known)).place_variances(body)
-    length = np.linalg.norm(body.joint_offsets[body.index("LeftFoot")[0]])
-    assert variances["LeftLeg"] == pytest.approx(np.arctan(0.025 * np.sqrt(2) / length) ** 2)
-    assert variances["RightLeg"] == pytest.approx(np.radians(2.0) ** 2)
-    wide = with_places(free, body)
-    np.testing.assert_allclose(wide.sigma**2, free.sigma**2 + variances["LeftLeg"])
-    assert np.degrees(wide.sigma.min()) > 4
+    found = Quantity("mounting", "LeftLeg", np.zeros(3), np.radians([3.0, 4.0, 20.0]), np.radians([20.0] * 3), 0.95)
+    unseen = replace(found, item="RightLeg", known=0.1)
+    variances = SelfCalibration((found, unseen)).mounting_variances(body)
+    assert variances == {"LeftLeg": pytest.approx(np.radians(np.sqrt(12.5)) ** 2)}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import calibration_support as cs
 import numpy as np
 import planted
@@ -9,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.calibration.shared_fragments import SharedFragments
+from rtof_kin.data.keypoints import detector_point
+from rtof_kin.vision.image_points import detector_points, image_points
 
 Array = NDArray[np.float64]
 T = 24
@@ -17,6 +21,13 @@ T = 24
 def open_fragments(*kinds: str) -> SharedFragments:
     truth = cs.motion(T)
     recording = planted.recording(truth, sigma_px=4.0, degrees=4.0)
+    if "place" in kinds:  # which joints do not have
+        names = tuple(detector_point("mediapipe33", point) for point in detector_points("mediapipe33"))
+        p, R = truth.poses.p_world_joint, truth.poses.R_world_bone
+        uv = recording.video.camera.project(image_points(cs.BODY, names).positions(p, R))
+        uv = uv + planted.smooth_noise(3, uv.shape, 5, 4.0)
+        seen = replace(recording.video, uv_px=uv, confidence=np.ones(uv.shape[:2]), names=names)
+        recording = replace(recording, keypoints=seen)
     return cs.fragments(recording, truth.poses, cs.only(*kinds))
 
 
