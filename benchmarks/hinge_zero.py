@@ -71,12 +71,12 @@ STILL_S, BLEND_S = 2.0, 1.0
 CASES: Final = ("camera alone", "run", "right, as given", "right, calibrated")
 
 
-def habit(rng: Generator, crouch_deg: float = 0.0) -> tuple[Array, Array]:
+def habit(rng: Generator, bent_deg: float = 0.0) -> tuple[Array, Array]:
     """Knee flexion (2,), rad, of left and right in the straightest tenth of a walk and in standing."""
     stands = 2.0 + 4.0 * rng.standard_normal()
     walks = 4.0 + 0.6 * (stands - 2.0) + 3.2 * rng.standard_normal()
     sides = 1.5 * rng.standard_normal((2, 2))
-    return np.radians(walks + crouch_deg + sides[0]), np.radians(stands + crouch_deg + sides[1])
+    return np.radians(walks + bent_deg + sides[0]), np.radians(stands + bent_deg + sides[1])
 
 
 def straightened(clip: MocapClip, straightest: Array) -> MocapClip:
@@ -219,7 +219,7 @@ def rows_of(case: str, clip: MocapClip, place: str, seed: int) -> Iterator[Row]:
 
 
 def walks(
-    corpus: Path, people: Sequence[str], seconds: Sequence[float]
+    corpus: Path, people: Sequence[str], seconds: Sequence[float], bent_deg: float = 0.0
 ) -> Iterator[tuple[str, float, bool, MocapClip]]:
     """Person, seconds, whether with a still second, and the motion."""
     names = {n for person in people for n in WALKS[person]}
@@ -228,7 +228,7 @@ def walks(
         own = [clips[name] for name in WALKS[person]]
         for length in seconds:
             rng = np.random.default_rng(zlib.crc32(f"{person} {length:g}".encode()))
-            walking, standing = habit(rng)
+            walking, standing = habit(rng, bent_deg)
             enough = own * (1 + int(length))
             walk = straightened(joined(enough, length, f"{person} {length:g} s"), walking)
             for still in (False, True):
@@ -270,13 +270,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", default="6,20,60")
     parser.add_argument("--cases", default="camera alone;run", help="of " + "; ".join(CASES))
     parser.add_argument("--cameras", default="side,behind")
+    parser.add_argument("--bent", type=float, default=0.0, help="deg more than usual of all knees, as of patients")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "hinge_zero.json")
     options = parser.parse_args(arguments)
     rows: list[Row] = json.loads(options.out.read_text()) if options.out.exists() else []
     done = {(r["person"], r["seconds"], r["still"], r["camera"], r["case"]) for r in rows}
     cases = [case for case in CASES if case in options.cases.split(";")]
     lengths = [float(s) for s in options.seconds.split(",")]
-    for person, seconds, still, clip in walks(options.corpus, options.people.split(","), lengths):
+    for person, seconds, still, clip in walks(options.corpus, options.people.split(","), lengths, options.bent):
         for place in options.cameras.split(","):
             for case in cases:
                 if (person, seconds, still, place, case) in done:

@@ -37,6 +37,8 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.observations import low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
 
+_NARROW, _AT_ARMS = 0.5, ("ForeArm", "Hand")
+"""Spread of the places at elbows and wrists, relative to those of other joints."""
 _USUAL_HEIGHT_PX = 500.0  # [px] Height of the person that `sigma_image_bias` is for
 
 
@@ -161,7 +163,8 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
     if p.sigma_place is not None and data.attached.free.any():
         joints = tuple(sorted({*data.points.anchors}))
         seen = tuple(skeleton.names[j] for j in joints)
-        found.append(Places(seen, tuple(map(joints.index, data.points.anchors)), p.sigma_place))
+        sigma = p.sigma_place * np.array([_NARROW if name.endswith(_AT_ARMS) else 1.0 for name in seen])
+        found.append(Places(seen, tuple(map(joints.index, data.points.anchors)), sigma))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(Ankles(p.sigma_ankle_height))
     if not found:

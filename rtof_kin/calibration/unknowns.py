@@ -311,14 +311,14 @@ class Places(Unknown):
 
     items: tuple[str, ...]
     of_point: tuple[int, ...]  # Item of each of the L points
-    sigma: float  # [m] per axis
+    sigma: Array  # (K,) m per axis
     name = "place"
     nuisance = True
 
     @property
     def covariance(self) -> Array:
         """(3K, 3K), joint after joint."""
-        return np.eye(3 * len(self.items)) * self.sigma**2
+        return np.diag(np.repeat(self.sigma, 3) ** 2)
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Move the points in their segments."""
