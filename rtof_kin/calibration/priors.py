@@ -32,7 +32,8 @@ class CalibrationPriors:
     sigma_image_bias: float | None = 6.0
     """[px] per axis, of each landmark, constant in the image; for a person 500 px tall."""
     sigma_place: float | None = 0.025
-    """[m] per axis, of where a detector sees a joint in its segments; measured at knees on a treadmill: 20 to 30 mm."""
+    """[m] per axis, of where a detector sees a joint in its segments, beside mountings: at knees 20 to 30 mm were
+    measured; half of it at elbows and wrists."""
     sigma_ankle_height: float | None = 0.02  #: [m] of ankles over the floor that they stand on; only where there is one
     most_seconds: float = 20.0  #: [s] of the recording that are used, in fragments distributed over it
     rounds: int = 5  #: Largest number of Gauss-Newton steps

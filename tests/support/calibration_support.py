@@ -31,7 +31,7 @@ OPEN = {
     "mounting": {"sigma_swing": 0.05, "sigma_twist": 0.1},
     "bones": {"sigma_size": 0.05, "sigma_proportion": 0.03},
     "image bias": {"sigma_image_bias": 6.0},
-    "place": {"sigma_place": 0.02},
+    "place": {"sigma_place": 0.02, "sigma_swing": 0.05},
     "ankle height": {"sigma_ankle_height": 0.03},
 }
 """Kind -> what leaves it open."""
