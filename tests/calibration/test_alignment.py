@@ -9,13 +9,16 @@ import planted
 import pytest
 from clocks_support import filmed, joints, shifted, skeleton, worn
 
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.alignment import Alignment, align_sensors
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
+from rtof_kin.calibration.straight_legs import NEVER_STILL
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ViewError
 from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import wrapped
 from rtof_kin.recording.recording import Recording
 
@@ -136,3 +139,23 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration()
     assert [bool(s.doubt) for s in after.sensors] == [True, False, False, False, True]
     assert "is not known to 4 degrees" in after.sensors[-1].doubt
     assert after.delay.value[0] == pytest.approx(0.004)
+
+
+def test_a_still_second_is_asked_for_where_legs_have_sensors_and_the_person_never_stands() -> None:
+    moves, stands = planted.moving(skeleton(), 480, radians=0.5), planted.upright(skeleton(), 120)
+    legs = ("L_UpLeg", "L_LowLeg", "R_UpLeg", "R_LowLeg")
+
+    def warned(motion: Motion, sensors: tuple[str, ...]) -> bool:
+        log, truth = worn(motion, sensors=sensors)
+        start, stop = motion.poses.times[[0, -1]]
+        found = align_sensors(
+            *filmed(motion, start, stop), log, joints(truth), skeleton(), lambda *_: SelfCalibration(())
+        )
+        return any(text.startswith(NEVER_STILL) for text in found.warnings)
+
+    q = np.concatenate([stands.q, moves.q])
+    p, R = skeleton().forward_kinematics(q)
+    poses = PoseSequence(np.arange(len(q)) / planted.RATE_HZ, p, R, moves.poses.names)
+    assert warned(moves, legs)
+    assert not warned(replace(moves, q=q, poses=poses), legs)
+    assert not warned(moves, ("L_UpArm", "L_LowArm", "R_LowArm"))

@@ -12,6 +12,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
+from rtof_kin.calibration.straight_legs import NEVER_STILL
 from rtof_kin.reconstruction import self_calibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Job
@@ -90,8 +91,8 @@ def test_where_velocities_are_unsharp_the_energy_decides(demo: Recording, monkey
     assert after.sigma[0] == pytest.approx(0.004)
 
 
-@pytest.mark.parametrize("note", [f"{DAYS_APART}: 3 days apart", f"{CLOCK_DOUBT}: the motion repeats itself"])
-def test_what_the_setup_noted_of_the_clocks_is_said_again(demo: Recording, note: str) -> None:
+@pytest.mark.parametrize("note", [f"{note}: 3 of them" for note in (DAYS_APART, CLOCK_DOUBT, NEVER_STILL)])
+def test_what_the_setup_noted_is_said_again(demo: Recording, note: str) -> None:
     assert found(replace(demo.between(5.0, 9.0), notes=f"found: x\ndoubtful: {note}")).warnings[0] == note
 
 

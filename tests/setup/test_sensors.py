@@ -86,7 +86,7 @@ def test_clock_and_segments_are_found_and_the_sensors_begin_at_zero(take: Take) 
         own = tables[name]
         assert own["joint"] == Field(joint, sensors.Origin.FILE, "map.csv")
         stated = own["mounting_sd_deg"]
-        assert stated.value == pytest.approx(19.1)  # of lifted orientations alone, the mean of the axes
+        assert stated.value == pytest.approx(10.0)  # of lifted orientations alone, across the bone
     assert any("the sensors began 5.0" in sentence for _, sentence in summaries(found.fields))
 
 
