@@ -17,7 +17,7 @@ from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.priors import EFFECTIVE_SECONDS, OVERCOUNT, CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.calibration.shared_fragments import Excerpt, Shared, SharedFragments, Slice
-from rtof_kin.calibration.straight_legs import straight_legs
+from rtof_kin.calibration.straight_legs import StraightLeg, straight_legs
 from rtof_kin.calibration.unknowns import (
     Ankles,
     Bones,
@@ -39,6 +39,8 @@ from rtof_kin.solve.settings import JointSpaceSettings
 
 _NARROW, _AT_ARMS = 0.5, ("ForeArm", "Hand")
 """Spread of the places at elbows and wrists, relative to those of other joints."""
+_UNMOUNTED = float(np.radians(4.0))
+"""[rad] Mountings that are better known than this say more of a person's knees than other people's do."""
 _USUAL_HEIGHT_PX = 500.0  # [px] Height of the person that `sigma_image_bias` is for
 
 
@@ -111,7 +113,9 @@ def fragments_of(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpa
 
     unknowns = _unknowns(excerpt, priors, sampled)
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
-    legs = straight_legs([(part.bone_imus, part.guess.poses) for part in excerpt.slices], sensors)
+    legs: tuple[StraightLeg, ...] = ()
+    if priors.sigma_swing is not None and priors.sigma_swing > _UNMOUNTED:
+        legs = straight_legs([(part.bone_imus, part.guess.poses) for part in excerpt.slices], sensors)
     return SharedFragments(excerpt, unknowns, EFFECTIVE_SECONDS / max(seconds, EFFECTIVE_SECONDS), legs)
 
 

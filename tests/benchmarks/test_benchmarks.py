@@ -100,6 +100,7 @@ def test_half_of_the_motions_are_not_walking() -> None:
         "confidence",
         "detectors",
         "harness",
+        "hinge_zero",
         "inertial_only",
         "lifter",
         "lifter_speed",
