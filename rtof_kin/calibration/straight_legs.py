@@ -24,7 +24,7 @@ from rtof_kin.data.poses import PoseSequence
 _KNEE, _LEAN, _ASIDE = (2.0, 4.0), (4.0, 4.0), (0.0, 5.0)
 """[deg] Mean and standard deviation over people who stand: knee flexion, shank forward, thigh and shank sideways."""
 _WALKING_KNEE: Final = (4.0, 4.0)  # [deg] The same of the knee in the straightest tenth of a walk
-_FREEDOM: Final = 4.0  # Degrees of freedom of Student's t
+_FREEDOM, _TINY = 4.0, 1e-6  # Degrees of freedom of Student's t, and least residual, of which a root is taken
 _STILL, _STILL_S, _STEP_S = 0.25, 0.7, 0.1  # [rad/s] of thighs and shanks in standing, [s] for which, [s] of a turn
 _UPRIGHT: Final = float(np.cos(np.radians(30.0)))  # Of thighs, shanks and trunk in standing, by the image
 _WINDOW_S, _WALK_S = 2.0, 2.5  # [s] in which walking is recognised, and shortest walk
@@ -43,7 +43,9 @@ class StraightLeg:
     still: bool  # Whether the person stands, or walks
 
     def residuals(self, y: Array) -> tuple[Array, Array]:
-        """Return whitened residuals (m,) and their derivatives (m, 3S) at mountings y (S, 3), rad."""
+        """Return residuals (m,), half of whose squares are nats, and their derivatives (m, 3S) at mountings y (S, 3),
+        rad.
+        """
         tilts, slopes = np.zeros((2, 2)), np.zeros((2, 2, *y.shape))  # Segment; forward, sideways
         for i, s in enumerate(self.sensors):
             v = self.up[i] @ so3.exp(y[s])
@@ -61,8 +63,10 @@ class StraightLeg:
             usual += [_LEAN, _ASIDE, _ASIDE]
         mean, sigma = np.radians(usual).T
         r = (np.array(values) - mean) / sigma
-        weight = np.sqrt((_FREEDOM + 1) / (_FREEDOM + r**2))
-        return weight * r, (weight / sigma)[:, None] * np.reshape(by_y, (len(r), -1))
+        r = np.where(np.abs(r) < _TINY, _TINY, r)
+        robust = np.sign(r) * np.sqrt((_FREEDOM + 1) * np.log1p(r**2 / _FREEDOM))
+        slope = (_FREEDOM + 1) * r / (_FREEDOM + r**2) / robust
+        return robust, (slope / sigma)[:, None] * np.reshape(by_y, (len(r), -1))
 
 
 def straight_legs(
