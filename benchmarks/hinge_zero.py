@@ -58,7 +58,6 @@ WALKS: Final = {
     "CMU002": ["02_01", "02_02"],
     "CMU008": [f"08_{n:02d}" for n in (1, 2, 3, 4, 5, 6, 8, 9, 10, 11)],
     "CMU012": ["12_01"],
-    "Meredith": ["pymo_8walk_meredith"],
 }
 """Person -> walks, one after the other, from the beginning again where they are too short."""
 KNEES: Final = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))

@@ -72,9 +72,7 @@ def calibrate(
         fragments = fragments_of(replace(fragments.excerpt, left_out=slipped), priors, settings)
         fragments.begin()
     shared = fragments.estimate(priors.rounds, progress)
-    usual = np.diag(np.linalg.inv(fragments.prior))
-    prior = fragments.prior + shared.evidence
-    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, prior, usual)
+    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior)
     times = fragments.excerpt.times
     return SelfCalibration(
         quantities=tuple(_doubted(q, slices, shared) for q in quantities if q.kind != "place"),

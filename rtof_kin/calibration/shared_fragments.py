@@ -185,7 +185,6 @@ class Shared:
 
     y: Array  # (G,) the estimate
     hessian: Array  # (G, G) of the energy as a function of the unknowns alone, with their prior
-    evidence: Array  # (G, G) part of it by straight legs
     energies: tuple[float, ...]  # Before the first and after every accepted step
     converged: bool
     doubts: dict[int, str]  # Column of a searched unknown -> reason why the search may have failed
@@ -241,7 +240,7 @@ class SharedFragments:
             self.begin()
         report(1, rounds + 1)
         y, energies, converged = self._searched() if start is None else start, [], False
-        best, step, given, evidence = (np.inf, y), np.zeros_like(y), self.prior, np.zeros_like(self.prior)
+        best, step, given = (np.inf, y), np.zeros_like(y), self.prior
         shrinking = [c for u, c in zip(self.unknowns, self.columns, strict=True) if u.shrinks]
         for done in range(rounds + 1):
             given_y = self.corrected(y)
@@ -258,21 +257,23 @@ class SharedFragments:
             if converged:  # the Hessian is that of the step before
                 break
             information, slope = self.profile(given_y, y)
-            self.prior = learned_precision(given, information, slope, y, shrinking)
             r, J = self.straightness(y)
-            evidence = J.T @ J
-            hessian = information + self.prior + evidence
-            step = -cho_solve(cho_factor(hessian), slope + self.prior @ y + J.T @ r)
+            information, slope = information + J.T @ J, slope + J.T @ r
+            self.prior = learned_precision(given, information, slope, y, shrinking)
+            hessian = information + self.prior
+            step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
             y = y + step
         y = best[1]
         report(rounds + 1, rounds + 1)
-        return Shared(y, hessian, evidence, tuple(energies), converged, self._doubts)
+        return Shared(y, hessian, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
         return 0.5 * float(y @ self.prior @ y + np.sum(self.straightness(y)[0] ** 2))
 
     def straightness(self, y: Array) -> tuple[Array, Array]:
-        """Return whitened residuals (m,) of straight legs and their derivatives (m, G) at y (G,)."""
+        """Return residuals (m,) of straight legs and their derivatives (m, G) at y (G,): as much overstated as the
+        information of images and sensors is.
+        """
         own = next((c for u, c in zip(self.unknowns, self.columns, strict=True) if u.name == "mounting"), None)
         if own is None or not self.legs:
             return np.zeros(0), np.zeros((0, len(y)))
@@ -280,7 +281,7 @@ class SharedFragments:
         r, by_mounting = (np.concatenate(values) for values in zip(*found, strict=True))
         J = np.zeros((len(r), len(y)))
         J[:, own] = by_mounting
-        return r, J
+        return np.sqrt(OVERCOUNT) * r, np.sqrt(OVERCOUNT) * J
 
     def _searched(self) -> Array:
         """(G,) with the searched unknowns at the smallest energy, all others at zero.
