@@ -278,12 +278,11 @@ def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -
     ones = np.ones(3)
     free = SelfCalibration(
         tuple(
-            Quantity("mounting", name, 0.01 * ones, 0.03 * ones, prior * ones, 0.95)
-            for name, prior in (("LeftUpLeg", 0.4), ("LeftLeg", 0.4))
+            Quantity("mounting", name, 0.01 * ones, 0.08 * ones, 0.4 * ones, 0.95) for name in ("LeftUpLeg", "LeftLeg")
         )
     )
     wide = case.run("rtof", calibration=free)
-    known = replace(free, quantities=tuple(replace(q, sigma_prior=0.035 * ones) for q in free.quantities))
+    known = replace(free, quantities=tuple(replace(q, sigma=0.03 * ones) for q in free.quantities))
     usual = case.run("rtof", calibration=known)
     (said,) = [text for text in wide.warnings if text.startswith("the zero of knee flexion")]
     assert "+-1" in said  # 10 to 19 deg
@@ -299,7 +298,7 @@ def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_onc
     sd = np.array([9.0 if joint in legs else np.nan for joint in given.joints])
     stated = case.changed(calibration=replace(given, mounting_sd_deg=sd))
     found = SelfCalibration(
-        tuple(Quantity("mounting", name, np.full(3, 1e-6), np.full(3, 0.03), np.full(3, 0.4), 0.95) for name in legs)
+        tuple(Quantity("mounting", name, np.full(3, 1e-6), np.full(3, 0.08), np.full(3, 0.4), 0.95) for name in legs)
     )
 
     def knee_variance(result: Reconstruction) -> float:
