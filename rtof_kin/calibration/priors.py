@@ -52,10 +52,14 @@ class CalibrationPriors:
     @classmethod
     def of(cls, recording: Recording) -> Self:
         """Return the usual priors of a recording; bones are estimated only where not measured, and
-        those of the person's file within its standard deviations.
+        those of the person's file within its standard deviations; mountings not where it states how well they are
+        known: another estimate from the same video is no better.
         """
+        usual, known = cls(), recording.calibration
+        if known is not None and known.mounting_sd_deg is not None and np.isfinite(known.mounting_sd_deg).all():
+            usual = replace(usual, sigma_swing=None)
         if (sigma := recording.sigma_bones) is not None:  # of size and proportion together
-            return replace(cls(), sigma_size=sigma / 2**0.5, sigma_proportion=sigma / 2**0.5)
+            return replace(usual, sigma_size=sigma / 2**0.5, sigma_proportion=sigma / 2**0.5)
         if recording.bones_given:
-            return cls()
-        return replace(cls(), sigma_size=0.05 if recording.height is None else 0.02, sigma_proportion=0.03)
+            return usual
+        return replace(usual, sigma_size=0.05 if recording.height is None else 0.02, sigma_proportion=0.03)

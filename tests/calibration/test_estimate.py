@@ -183,6 +183,10 @@ def test_bones_are_estimated_only_if_not_measured() -> None:
     assert CalibrationPriors.of(replace(recording, height=table.height)).sigma_size == 0.02
     measured = replace(recording, joint_offsets=1.02 * table.joint_offsets)
     assert CalibrationPriors.of(measured).sigma_size is None
+    given = recording.calibration
+    assert CalibrationPriors.of(recording).sigma_swing is not None
+    stated = replace(recording, calibration=replace(given, mounting_sd_deg=np.full(len(given.sensors), 3.0)))
+    assert CalibrationPriors.of(stated).sigma_swing is None
 
 
 def test_unobserved_quantities_are_zero() -> None:
