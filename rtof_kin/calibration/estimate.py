@@ -113,7 +113,8 @@ def fragments_of(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpa
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
     legs: tuple[StraightLeg, ...] = ()
     if priors.sigma_swing is not None and priors.sigma_swing > _UNMOUNTED:
-        legs = straight_legs([(part.bone_imus, part.guess.poses) for part in excerpt.slices], sensors)
+        sensed = [(part.bone_imus, part.guess.poses) for part in excerpt.slices]
+        legs = straight_legs([(imus, poses) for imus, poses in sensed if imus is not None], sensors)
     return SharedFragments(excerpt, unknowns, EFFECTIVE_SECONDS / max(seconds, EFFECTIVE_SECONDS), legs)
 
 
