@@ -163,7 +163,7 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
     if p.sigma_image_bias is not None:
         sizes = p.sigma_image_bias * _height_px(excerpt.slices) / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(ImageBias(data.names, sizes))
-    if p.sigma_swing is not None and p.sigma_place is not None and data.attached.free.any():
+    if data.sensors and p.sigma_swing is not None and p.sigma_place is not None and data.attached.free.any():
         joints = tuple(sorted({*data.points.anchors}))
         seen = tuple(skeleton.names[j] for j in joints)
         sigma = p.sigma_place * np.array([_NARROW if name.endswith(_AT_ARMS) else 1.0 for name in seen])
