@@ -58,7 +58,7 @@ def reconstruct(
     /,
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
-    task: Annotated[ReconstructionTask, Fields(f"mode model calibrate calibration figures {PERSON}")],
+    task: Annotated[ReconstructionTask, Fields(f"mode model lift calibrate calibration figures {PERSON}")],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,

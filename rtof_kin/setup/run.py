@@ -186,6 +186,7 @@ def reconstruct_folder(
             "recording_sha256": digest,
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
+            "lift_sha256": None if task.lift is None else file_digest(task.lift),
             "subject_sha256": None if task.subject is None else file_digest(task.subject),
         }
         if used := person.used(informed.facts):

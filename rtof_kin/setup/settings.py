@@ -55,6 +55,8 @@ class ReconstructionTask:
     model: Path | None = None
     """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
     live (of the live commands)."""
+    lift: Path | None = None
+    """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift."""
     calibrate: bool = False
     """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
     calibration: Path | None = None
@@ -81,12 +83,17 @@ class ReconstructionTask:
         return read_subject(self.subject)
 
     def lifter(self) -> LifterLike | None:
-        """Load the model that is named; None for the shipped one."""
-        if self.model is None:
+        """Load the model that is named, with the points of another one beside it; None for the shipped one."""
+        if self.model is None and self.lift is None:
             return None
         from lifting.predict import Lifter
 
-        return Lifter.load(self.model)
+        own = Lifter.load(self.model)
+        if self.lift is None:
+            return own
+        from rtof_kin.reconstruction.external_lift import LiftWith, read_points
+
+        return LiftWith(read_points(self.lift), self.lift.name, own)
 
 
 @dataclass(frozen=True)

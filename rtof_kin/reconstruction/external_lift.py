@@ -1,0 +1,458 @@
+"""The 3D points of another model as a second lift: brought to the package's own, and weighed against it.
+
+A model's points come on axes of its own, at a scale of its own, on a clock near the video's, and around the hips or
+anywhere. So rotation, scale and delay are found, once for a recording: the delay by the own lift (similarity of Umeyama
+1991, PAMI 13, robust), the scale by the lengths of the skeleton's bones, and the rotation by the image, in which the
+turned points must be seen where they are, at any place of the body in each frame. What counts is in which directions
+the bones point: lengths are the skeleton's, the place in the room is that of the own lift.
+
+Its errors are estimated, not believed. Across the camera's ray the image tells how far each lift is off, and so the
+ratio of their standard deviations. Along the ray, with that of the own lift, s, the difference d of the two, and errors
+that are correlated by rho, as both see one image,
+
+::
+
+    E d^2 = e^2 - 2 rho s e + s^2
+
+gives that of the other lift, e, for each joint. The two are combined as the lifts of two cameras are (`lift.fused`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.pose_prior import SPINE
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.text import load_json
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import Provenance
+from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.markers.marker_sets import places_of
+from rtof_kin.markers.trials import read_trial
+from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift, shipped_lifter
+from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.layouts import own as own_point
+
+if TYPE_CHECKING:
+    from lifting.predict import LiftedPoses
+
+_DELAYS: Final = np.arange(-12, 13) * 0.04  #: [s] by which the clock may differ from the video's
+_SAMPLE: Final = 400  #: Frames by which rotation and delay are found
+_SAME: Final = 0.01  #: Relative misfit within which a delay counts as none
+_CORRELATION: Final = 0.3  #: [1] of the errors of two lifts of one image
+_LEAST: Final = np.array([0.01, 0.02])  #: [m] least standard deviation across and along the ray of a joint
+_MOST_RATIO: Final = 3.0  #: Largest ratio of the two lifts' errors across the ray
+_FOREIGN: Final = 2.5  #: Differences from the own lift, relative to its standard deviations, from which it is left out
+_FEWEST: Final = 8  #: Fewest joints that its points show
+_LONGEST_GAP: Final = 0.2  #: [s] between samples that are interpolated
+_OWN: Final = np.array([0.03, 0.08])
+"""[m] standard deviations across and along the ray of an own lift that states none."""
+_LIMBS: Final = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
+_UNKNOWN: Final = 1e3  #: [m], [rad] of what it does not show
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How the points of another model agree with the own lift."""
+
+    scale: float  #: Metres of the body in a unit of the file
+    delay: float  #: [s] by which the points are late
+    R_world_file: Array  #: (3, 3)
+    difference: float  #: [1] RMS difference of the joints, relative to the own lift's standard deviations
+    doubt: str = ""  #: Why it is not used; '' where it is
+
+    def __str__(self) -> str:
+        late = f"{abs(1000 * self.delay):.0f} ms {'late' if self.delay > 0 else 'early'}"
+        return f"scale {self.scale:.3g}, {late}, {self.difference:.1f} standard deviations from the own lift"
+
+
+def read_points(path: str | Path) -> MarkerSequence:
+    """Read the 3D points of another model, on any axes and scale.
+
+    Args:
+        path: ``.trc``, ``.c3d``; ``.npz`` with times (T,) s, names (K,) and p_world (T, K, 3); ``.json`` with times,
+            names and points (T, K, 3; null where missing); ``.csv`` with the columns time and NAME_x, NAME_y, NAME_z.
+
+    Raises:
+        FileFormatError: missing, damaged, or another kind of file.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".json", ".csv"):
+        return read_trial(path)
+    try:
+        if path.suffix.lower() == ".json":
+            found = load_json(path)
+            values = [[[np.nan] * 3 if p is None else p for p in frame] for frame in found["points"]]
+            return MarkerSequence(np.array(found["times"], float), tuple(found["names"]), np.array(values, float))
+        columns = read_csv(path)
+        names = [column[:-2] for column in columns if column.endswith("_x")]
+        points = [np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=-1) for name in names]
+        return MarkerSequence(columns["time"], tuple(names), np.stack(points, axis=1))
+    except (KeyError, TypeError, ValueError, InvalidInputError) as error:
+        what = "times, names and points" if path.suffix.lower() == ".json" else "time, and x, y and z of each point"
+        raise FileFormatError(path, f"no 3D points over time: needs {what} ({error})") from error
+
+
+class LiftWith:
+    """A lifter beside which another model's points of the same video count.
+
+    Attributes:
+        agreement: of the last lift with the points; None before.
+    """
+
+    def __init__(self, points: MarkerSequence, name: str, base: LifterLike | None = None) -> None:
+        """Take named points on the video's clock, of a file of that name; `base`: default: the shipped lifter."""
+        self.points, self.base = points, base or shipped_lifter()
+        self.agreement: Agreement | None = None
+        own = getattr(self.base, "name", type(self.base).__name__)
+        self.name, self.prior = f"{own} and {name}", getattr(self.base, "prior", None)
+        self._file = name
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the points are not used, where they are not."""
+        doubt = "" if self.agreement is None else self.agreement.doubt
+        return (f"{self._file} is not used as a lift: {doubt}",) if doubt else ()
+
+    def predict(
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        bone_imus: BoneImuSequence | None = None,
+        floor_height: float | None = None,
+    ) -> LiftedPoses:
+        """Lift keypoints as `LifterLike`; errors as `external`."""
+        from lifting.predict import LiftedPoses
+
+        skeleton = SkeletonModel.default()
+        if joint_offsets is not None and len(joint_offsets) != len(skeleton.names):
+            raise InvalidInputError("lift: the points of another model need the 21-joint skeleton")
+        skeleton = skeleton if joint_offsets is None else skeleton.with_offsets(joint_offsets)
+        own = lift(keypoints, skeleton, self.base, bone_imus, floor_height)
+        other, self.agreement = external(self.points, own, keypoints, skeleton)
+        both = own if self.agreement.doubt else fused([own, other], [keypoints, keypoints], skeleton)
+        poses, seen = both.poses, np.any(own.poses.provenance != Provenance.BRIDGED, axis=1)
+        return LiftedPoses(
+            poses.times, poses.p_world_joint, seen, poses.names, both.sigma_m, both.R_world_bone, poses.sigma_rad
+        )
+
+
+def external(
+    points: MarkerSequence, own: Lifted, video: KeypointSequence, skeleton: SkeletonModel
+) -> tuple[Lifted, Agreement]:
+    """Return another model's points as a lift at the times of the own one, which are those of the video.
+
+    Raises:
+        InvalidInputError: names of no known convention, or they show fewer than `_FEWEST` joints.
+    """
+    columns, segments, places = _placed(points.names, skeleton)
+    poses = own.poses
+    R, p = poses.R_world_bone, poses.p_world_joint
+    at = points.p_world[:, columns]
+    model = p[:, segments] + np.einsum("tkij,kj->tki", R[:, segments], places)
+    joints = _nearest(segments, places, skeleton)
+    offset, seen = model - p[:, joints], video.select(skeleton.names)
+    delay, scale, R_world_file = _alignment(points.times, at, poses.times, model)
+
+    def shown_at(delay: float) -> Array:
+        late = _sampled(points.times, at, poses.times + delay)
+        return _joints(scale * late @ R_world_file.T - offset, joints, p.shape)
+
+    delay = _delay(lambda other: _misfit(shown_at(other), seen), delay)
+    for _ in range(2):
+        shown = shown_at(delay)
+        scale, R_world_file = scale * _by_bones(shown, skeleton), _by_image(shown, seen) @ R_world_file
+    shown = shown_at(delay)
+    turned = _turned(R, p, shown, skeleton)
+    positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
+    sigma_own = _relative_sigma(own)
+    known: Mask = np.asarray(np.isfinite(shown).all(axis=-1))
+    hips: Mask = np.asarray(known[:, skeleton.index("LeftUpLeg", "RightUpLeg")].all(axis=1))
+    known = known & hips[:, None]
+    trunk: Mask = np.asarray(hips & known[:, skeleton.index("LeftArm", "RightArm")].all(axis=1))
+    known[:, [0, *skeleton.index(*SPINE, "Neck")]] = trunk[:, None]
+    difference = _by_ray(positions - p, p, video.camera)
+    ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.inf
+    doubt = ""
+    if not known.any():
+        doubt = "it has no frame of this video"
+    elif ratio > _FOREIGN:
+        doubt = "its motion is not that in the video: of another person, another take, or at another rate"
+    sigma = _sigma(difference, sigma_own, known, _image_ratio(positions, p, seen))
+    sigma_rad = np.full(known.shape, _UNKNOWN)
+    for j, ends in _bearing(skeleton).items():
+        shows = known[:, [end for pair in ends for end in pair]].all(axis=1)
+        sigma_rad[shows, j] = np.sqrt(np.mean([_direction(sigma, pair, skeleton) for pair in ends]))
+    lifted = Lifted(
+        replace(poses, p_world_joint=positions, R_world_bone=turned, sigma_rad=sigma_rad),
+        np.where((sigma_rad < _UNKNOWN)[..., None, None], turned, np.nan),
+        np.where(known[..., None], sigma, _UNKNOWN),
+    )
+    return lifted, Agreement(scale, delay, R_world_file, ratio, doubt)
+
+
+def _placed(names: tuple[str, ...], skeleton: SkeletonModel) -> tuple[list[int], Array, Array]:
+    """Return columns of the points, and segment and place (K, 3), m, in it of each.
+
+    Names are those of a detector's layout, of joints, or of a marker set.
+    """
+    table = detector_table()
+    layout, found = table.nearest(names)
+    known = {point.name: (point.joint, point.offset) for point in table.points}
+    known |= {own_point(name): place for name, place in SkeletonModel.default().landmarks.items()}
+    if layout is not None:
+        named = zip(found, layout.points, strict=True)
+        rows = [(column, *known[point]) for column, point in named if column is not None]
+    else:
+        markers = places_of(names)
+        of = zip(markers.names, markers.segments, markers.p_bone_marker, strict=True)
+        rows = [(names.index(name), segment, place) for name, segment, place in of]
+    columns, segments, places = zip(*rows, strict=True)
+    size = skeleton.height / SkeletonModel.default().height
+    if len(set(segments)) < _FEWEST:
+        raise InvalidInputError(f"lift: its points are on {len(set(segments))} segments; give {_FEWEST} or more")
+    return list(columns), np.array(skeleton.index(*segments)), size * np.array(places)
+
+
+def _nearest(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
+    """Return the joint at an end of each point's segment that is nearest to it (K,)."""
+    out = segments.copy()
+    for k, (segment, place) in enumerate(zip(segments, places, strict=True)):
+        ends = [segment, *kinematics.children_of(skeleton.parents, segment)]
+        at = [np.zeros(3), *skeleton.joint_offsets[ends[1:]]]
+        out[k] = ends[int(np.argmin(np.linalg.norm(np.array(at) - place, axis=1)))]
+    return out
+
+
+def _alignment(times: Array, points: Array, at: Array, model: Array) -> tuple[float, float, Array]:
+    """Return delay, s, scale and rotation under which points (T, K, 3) agree best with a model (T', K, 3) at `at`."""
+    step = max(1, len(at) // _SAMPLE)
+    found = [(delay, *_similarity(_sampled(times, points, at[::step] + delay), model[::step])) for delay in _DELAYS]
+    delay, _, scale, R = min(found, key=lambda row: row[1])
+    return float(delay), scale, R
+
+
+def _delay(misfit: Callable[[float], float], near: float) -> float:
+    """Return the delay, s, of the smallest misfit within 0.12 s; 0 where that is hardly worse."""
+    grid = near + np.arange(-3, 4) * 0.04
+    best = float(grid[int(np.argmin([misfit(float(delay)) for delay in grid]))])
+    bounds = best - 0.04, best + 0.04
+    found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 12})
+    return float(found.x) if found.fun < (1 - _SAME) * misfit(0.0) else 0.0
+
+
+def _misfit(shown: Array, video: KeypointSequence) -> float:
+    """Return how far shown joints (T, J, 3) are from where they are seen after the best rotation, RMS, m."""
+    step = max(1, len(shown) // _SAMPLE)
+    shown, video = shown[::step], video[::step]
+    off, _, known = _off_image(shown @ _by_image(shown, video, rounds=3).T, video)
+    return float(np.sqrt(np.mean(np.minimum(np.sum(off[known] ** 2, axis=-1), 0.01)))) if known.any() else np.inf
+
+
+def _similarity(points: Array, model: Array) -> tuple[float, float, Array]:
+    """Return RMS distance, m, scale and rotation (3, 3) of the similarity that brings centred points (T, K, 3) to a
+    model's, with Cauchy weights; infinite distance where there are none.
+    """
+    both: Mask = np.asarray(np.isfinite(points + model).all(axis=-1))
+    enough = both.sum(axis=1) >= _FEWEST
+    if not enough.any():
+        return np.inf, 1.0, np.eye(3)
+    both = both[enough]
+    x, y = (np.where(both[..., None], v[enough], 0.0) for v in (points, model))
+    weight = both.astype(float)
+    scale, R, size = 1.0, np.eye(3), np.inf
+    for _ in range(5):
+        share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
+        a, b = (np.where(both[..., None], v - (share * v).sum(axis=1, keepdims=True), 0.0) for v in (x, y))
+        moment = np.einsum("tki,tkj,tk->ij", b, a, weight)
+        R = so3.nearest_rotation(moment)
+        power = float(np.einsum("tki,tki,tk->", a, a, weight))
+        scale = float(np.sum(R * moment)) / power if power > 0 else 1.0
+        distance = np.linalg.norm(b - scale * a @ R.T, axis=-1)
+        size = float(np.median(distance[both]))
+        weight = both / (1 + (distance / max(2 * size, 1e-6)) ** 2)
+    return float(np.sqrt(np.mean(np.minimum(distance[both], 0.3) ** 2))), scale, R
+
+
+def _joints(points: Array, joints: Array, shape: tuple[int, ...]) -> Array:
+    """Return joints (T, J, 3) as the mean of what points (T, K, 3) say of theirs; NaN where none does."""
+    out = np.full(shape, np.nan)
+    for joint in np.unique(joints):
+        own = points[:, joints == joint]
+        known: Mask = np.asarray(np.isfinite(own).all(axis=-1, keepdims=True))
+        count = known.sum(axis=1)
+        mean = np.where(known, own, 0.0).sum(axis=1) / np.maximum(count, 1)
+        out[:, joint] = np.where(count > 0, mean, np.nan)
+    return out
+
+
+def _by_bones(shown: Array, skeleton: SkeletonModel) -> float:
+    """Return the factor that gives bones between shown joints (T, J, 3) the skeleton's lengths, in the median."""
+    ends = [j for j in range(1, len(skeleton.names)) if skeleton.names[j].endswith(("Leg", "Foot", "ForeArm", "Hand"))]
+    bones = shown[:, ends] - shown[:, [skeleton.parents[j] for j in ends]]
+    lengths = np.linalg.norm(bones, axis=-1)
+    ratio = np.linalg.norm(skeleton.joint_offsets[ends], axis=1) / lengths
+    return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else 1.0
+
+
+def _by_image(shown: Array, video: KeypointSequence, rounds: int = 8) -> Array:
+    """Return the rotation (3, 3) in world of all shown joints (T, J, 3) under which the camera sees them as it does, at
+    any place in each frame: by Gauss-Newton steps with Cauchy weights.
+    """
+    R, turn = video.camera.R_camera_world, np.eye(3)
+    step = max(1, len(shown) // _SAMPLE)
+    shown, video = shown[::step], video[::step]
+    for _ in range(rounds):
+        off, by_turn, known = _off_image(shown @ (R.T @ turn @ R).T, video)
+        if not known.any():
+            break
+        error = np.linalg.norm(off, axis=-1)
+        size = float(np.median(error[known]))
+        weight = np.repeat((known / (1 + (error / max(2 * size, 1e-9)) ** 2)).ravel(), 2)
+        D, r = by_turn.reshape(-1, 3), off.ravel()
+        turn = so3.exp(-np.linalg.solve(D.T @ (weight[:, None] * D), D.T @ (weight * r))) @ turn
+    return np.asarray(R.T @ turn @ R)
+
+
+def _off_image(joints: Array, video: KeypointSequence) -> tuple[Array, Array, Mask]:
+    """Return how far joints (T, J, 3), each frame at the best place, are from where they are seen, (T, J, 2) m; the
+    derivatives (T, J, 2, 3) by a rotation about the camera's axes; and which are known (T, J).
+
+    A point X is seen at x if X + t is parallel to (x, 1): linear in the place t, which is eliminated in each frame.
+    """
+    camera = video.camera
+    known: Mask = np.asarray(np.isfinite(joints).all(axis=-1) & video.seen)
+    known = known & (known.sum(axis=1) >= _FEWEST)[:, None]
+    out, by_turn = np.zeros((*known.shape, 2)), np.zeros((*known.shape, 2, 3))
+    frames = np.flatnonzero(known.any(axis=1))
+    if not len(frames):
+        return out, by_turn, known
+    both = known[frames]
+    x = np.where(both[..., None], camera.normalise(np.where(known[..., None], video.uv_px, 0.0)[frames]), 0.0)
+    X = np.where(both[..., None], joints[frames], 0.0)
+    X = X - X.sum(axis=1, keepdims=True) / both.sum(axis=1)[:, None, None]
+    X = np.where(both[..., None], X, 0.0) @ camera.R_camera_world.T
+    across = np.zeros((*x.shape[:2], 2, 3))  # (1, 0, -x), (0, 1, -y)
+    across[..., 0, 0] = across[..., 1, 1] = 1.0
+    across[..., 2] = -x
+    sides = np.concatenate([-across @ so3.skew(X), across @ X[..., None]], axis=-1) * both[..., None, None]
+    A, sides = (across * both[..., None, None]).reshape(len(x), -1, 3), sides.reshape(len(x), -1, 4)
+    left = sides - A @ np.linalg.solve(np.swapaxes(A, 1, 2) @ A, np.swapaxes(A, 1, 2) @ sides)
+    left = left.reshape(*both.shape, 2, 4)
+    out[frames], by_turn[frames] = left[..., 3], left[..., :3]
+    return out, by_turn, known
+
+
+def _sampled(times: Array, values: Array, at: Array) -> Array:
+    """Return values (T', ...) interpolated at other times; NaN outside and in gaps."""
+    right = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(times) - 1)
+    span = times[right] - times[left]
+    share = np.where(span > 0, (at - times[left]) / np.where(span > 0, span, 1.0), 0.0)
+    out = values[left] + share.reshape(-1, *(1,) * (values.ndim - 1)) * (values[right] - values[left])
+    missing = (at < times[0] - 1e-9) | (at > times[-1] + 1e-9) | (span > _LONGEST_GAP)
+    out[missing] = np.nan
+    return np.asarray(out)
+
+
+def _bearing(skeleton: SkeletonModel) -> dict[int, list[tuple[int, int]]]:
+    """Return segments and the pairs of joints whose directions show how each is turned, once for each axis."""
+    at = skeleton.names.index
+    chains = {at(side + a): [(at(side + a), at(side + b))] for side in ("Left", "Right") for a, b in _LIMBS}
+    trunk = (0, at("Neck"))
+    chains[0] = [trunk, trunk, (at("LeftUpLeg"), at("RightUpLeg"))]
+    chains[at(SPINE[-1])] = [trunk, trunk, (at("LeftArm"), at("RightArm"))]
+    return chains
+
+
+def _direction(sigma: Array, pair: tuple[int, int], skeleton: SkeletonModel) -> float:
+    """Return the variance of the direction between two joints whose standard deviations are sigma (J, 2), rad^2."""
+    places = kinematics.positions(
+        skeleton.parents, skeleton.joint_offsets, np.zeros((1, 3)), np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
+    )[0]
+    return float(np.mean(sigma[list(pair)] ** 2) * 2 / np.sum((places[pair[0]] - places[pair[1]]) ** 2))
+
+
+def _turned(R: Array, p: Array, shown: Array, skeleton: SkeletonModel) -> Array:
+    """Return orientations (T, J, 3, 3): those of the own lift, turned as the shown joints (T, J, 3) are to its own.
+
+    Pelvis and upper trunk turn with hips or shoulders and the line between them; limbs by the smallest rotation.
+    """
+    at, out = skeleton.names.index, np.array(R)
+    hips, arms = ([at(side + name) for side in ("Left", "Right")] for name in ("UpLeg", "Arm"))
+
+    def across(joints: Array, pair: list[int]) -> Array:
+        trunk = joints[:, arms].mean(axis=1) - joints[:, hips].mean(axis=1)
+        return np.stack([joints[:, pair[0]] - joints[:, pair[1]], trunk], axis=1)
+
+    pelvis, thorax = (_between(across(p, pair), across(shown, pair)) for pair in (hips, arms))
+    for name, turn in (("Hips", pelvis), ("Spine", pelvis), *((name, thorax) for name in (*SPINE[1:], "Neck", "Head"))):
+        out[:, at(name)] = turn @ R[:, at(name)]
+    for side in ("Left", "Right"):
+        out[:, at(f"{side}Shoulder")] = thorax @ R[:, at(f"{side}Shoulder")]
+        for a, b in _LIMBS:
+            own, other = (so3.unit(v[:, at(side + b)] - v[:, at(side + a)]) for v in (p, shown))
+            known = np.isfinite(other).all(axis=-1)
+            out[known, at(side + a)] = so3.minimal_rotation(own[known], other[known]) @ out[known, at(side + a)]
+        for a, b in (("Foot", "Leg"), ("Hand", "ForeArm")):  # without points beyond: as the segment before
+            turn = out[:, at(side + b)] @ np.swapaxes(R[:, at(side + b)], -1, -2)
+            out[:, at(side + a)] = turn @ R[:, at(side + a)]
+    return out
+
+
+def _between(own: Array, other: Array) -> Array:
+    """Return the rotations (T, 3, 3) that bring the directions of two vectors (T, 2, 3) to others; 1 where unknown."""
+    known: Mask = np.asarray(np.isfinite(own + other).all(axis=(1, 2)))
+    out = np.tile(np.eye(3), (len(own), 1, 1))
+    moment = np.einsum("tki,tkj->tij", so3.unit(other[known]), so3.unit(own[known]))
+    out[known] = so3.nearest_rotation(moment)
+    return out
+
+
+def _relative_sigma(own: Lifted) -> Array:
+    """(T, J, 2) standard deviations of joints relative to the root, across and along the ray, m."""
+    return np.where(np.isfinite(own.sigma_m), own.sigma_m, _OWN)
+
+
+def _by_ray(vectors: Array, p: Array, camera: Camera) -> Array:
+    """Return lengths (T, J, 2), per axis, of vectors (T, J, 3) across and along the rays to points (T, J, 3)."""
+    ray = so3.unit(p - camera.center_world)
+    along = np.sum(vectors * ray, axis=-1)
+    across = np.linalg.norm(vectors - along[..., None] * ray, axis=-1) / np.sqrt(2)
+    return np.stack([across, along], axis=-1)
+
+
+def _image_ratio(other: Array, own: Array, video: KeypointSequence) -> Array:
+    """Return how far joints (T, J, 3) of another lift are from where they are seen, relative to the own's (J,)."""
+    sizes = []
+    for joints in (other, own):
+        off, _, known = _off_image(joints, video)
+        count = np.maximum(known.sum(axis=0), 1)
+        sizes.append(np.sqrt((np.sum(off**2, axis=-1) * known).sum(axis=0) / count) + _LEAST[0])
+    return np.asarray(np.clip(sizes[0] / sizes[1], 1 / _MOST_RATIO, _MOST_RATIO))
+
+
+def _sigma(difference: Array, sigma_own: Array, known: Mask, ratio: Array) -> Array:
+    """Return standard deviations (J, 2), m, of the other lift."""
+    out = np.empty(difference.shape[1:])
+    for j in range(len(out)):
+        rows = known[:, j] if known[:, j].any() else slice(None)
+        s = np.sqrt(np.mean(sigma_own[rows, j] ** 2, axis=0))
+        left = np.mean(difference[rows, j, 1] ** 2) - (1 - _CORRELATION**2) * s[1] ** 2
+        out[j] = ratio[j] * s[0], _CORRELATION * s[1] + np.sqrt(max(left, 0.0))
+    return np.asarray(np.maximum(out, _LEAST))
