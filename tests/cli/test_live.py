@@ -118,7 +118,7 @@ def test_the_persons_file_is_used_and_not_recorded(cli: Cli, estimator: dict[str
     take = Recording.load(tmp_path / "take")
     assert take.height is take.posture is None
     file.write_text('subject = "P07"\njoint_offsets_m = { LeftLeg = { value = [0, 0, -0.6] } }\n')
-    cli.ok("live", DEMO, "--camera", DEMO, *options).says("doubtful P07.toml is likely of another person")
+    cli.ok("live", DEMO, "--camera", DEMO, *options).says("doubtful P07.toml has another joint_offsets_m.LeftLeg")
 
 
 def test_a_video_is_examined_by_the_detector_of_the_options(
