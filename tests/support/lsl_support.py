@@ -12,7 +12,10 @@ import numpy as np
 import pylsl
 from numpy.typing import ArrayLike
 
-pylsl.util.set_config_content(
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+pylsl.util.set_config_content(  # each worker has ports enough: eleven streams take more than the usual 32
+    f"[ports]\nBasePort = {20000 + 512 * _WORKER}\nPortRange = 256\n"
+    f"[lab]\nKnownPeers = {{127.0.0.1}}\nSessionID = tests{_WORKER}\n"
     "[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n"
     "[tuning]\nTimeProbeInterval = 0.01\nTimeProbeMaxRTT = 0.05\n"
 )
