@@ -51,7 +51,7 @@ def test_right_clocks_are_not_named_and_a_detectors_delay_leaves_the_sensors(dem
     assert right.applied.sensors_late == 0.0
 
 
-@pytest.mark.parametrize("seconds", [0.2, -0.1, 0.4])
+@pytest.mark.parametrize("seconds", [-0.1, 0.4])
 def test_sensors_on_a_wrong_clock_are_corrected_and_named(demo: Recording, seconds: float) -> None:
     right, wrong = (found(late(demo.between(5.0, 13.0), s)) for s in (0.0, seconds))
     assert wrong.delay.value[0] == pytest.approx(right.delay.value[0] - seconds, abs=0.015)
