@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -28,9 +29,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.pose_prior import SPINE
+from rtof_kin.body.pose_prior import CLAVICLES, SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_csv
@@ -42,7 +44,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.markers.marker_sets import places_of
 from rtof_kin.markers.trials import read_trial
-from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift, shipped_lifter
+from rtof_kin.reconstruction.lift import JOINT, Lifted, LifterLike, fused, lift, shipped_lifter
 from rtof_kin.vision.layouts import detector_table
 from rtof_kin.vision.layouts import own as own_point
 
@@ -58,9 +60,6 @@ _MOST_RATIO: Final = 3.0  #: Largest ratio of the two lifts' errors across the r
 _FOREIGN: Final = 2.5  #: Differences from the own lift, relative to its standard deviations, from which it is left out
 _FEWEST: Final = 8  #: Fewest joints that its points show
 _LONGEST_GAP: Final = 0.2  #: [s] between samples that are interpolated
-_OWN: Final = np.array([0.03, 0.08])
-"""[m] standard deviations across and along the ray of an own lift that states none."""
-_LIMBS: Final = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
 _UNKNOWN: Final = 1e3  #: [m], [rad] of what it does not show
 
 
@@ -169,7 +168,7 @@ def external(
     delay, scale, R_world_file = _alignment(points.times, at, poses.times, model)
 
     def shown_at(delay: float) -> Array:
-        late = _sampled(points.times, at, poses.times + delay)
+        late = signals.interpolate(points.times, at, poses.times + delay, _LONGEST_GAP)
         return _joints(scale * late @ R_world_file.T - offset, joints, p.shape)
 
     delay = _delay(lambda other: _misfit(shown_at(other), seen), delay)
@@ -241,7 +240,8 @@ def _nearest(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
 def _alignment(times: Array, points: Array, at: Array, model: Array) -> tuple[float, float, Array]:
     """Return delay, s, scale and rotation under which points (T, K, 3) agree best with a model (T', K, 3) at `at`."""
     step = max(1, len(at) // _SAMPLE)
-    found = [(delay, *_similarity(_sampled(times, points, at[::step] + delay), model[::step])) for delay in _DELAYS]
+    late = ((delay, signals.interpolate(times, points, at[::step] + delay, _LONGEST_GAP)) for delay in _DELAYS)
+    found = [(delay, *_similarity(seen, model[::step])) for delay, seen in late]
     delay, _, scale, R = min(found, key=lambda row: row[1])
     return float(delay), scale, R
 
@@ -357,23 +357,10 @@ def _off_image(joints: Array, video: KeypointSequence) -> tuple[Array, Array, Ma
     return out, by_turn, known
 
 
-def _sampled(times: Array, values: Array, at: Array) -> Array:
-    """Return values (T', ...) interpolated at other times; NaN outside and in gaps."""
-    right = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(times) - 1)
-    span = times[right] - times[left]
-    share = np.where(span > 0, (at - times[left]) / np.where(span > 0, span, 1.0), 0.0)
-    out = values[left] + share.reshape(-1, *(1,) * (values.ndim - 1)) * (values[right] - values[left])
-    missing = (at < times[0] - 1e-9) | (at > times[-1] + 1e-9) | (span > _LONGEST_GAP)
-    out[missing] = np.nan
-    return np.asarray(out)
-
-
 def _bearing(skeleton: SkeletonModel) -> dict[int, list[tuple[int, int]]]:
     """Return segments and the pairs of joints whose directions show how each is turned, once for each axis."""
     at = skeleton.names.index
-    chains = {at(side + a): [(at(side + a), at(side + b))] for side in ("Left", "Right") for a, b in _LIMBS}
+    chains = {at(a): [(at(a), at(b))] for limb in kinematics.LIMBS for a, b in pairwise(limb)}
     trunk = (0, at("Neck"))
     chains[0] = [trunk, trunk, (at("LeftUpLeg"), at("RightUpLeg"))]
     chains[at(SPINE[-1])] = [trunk, trunk, (at("LeftArm"), at("RightArm"))]
@@ -403,15 +390,16 @@ def _turned(R: Array, p: Array, shown: Array, skeleton: SkeletonModel) -> Array:
     pelvis, thorax = (_between(across(p, pair), across(shown, pair)) for pair in (hips, arms))
     for name, turn in (("Hips", pelvis), ("Spine", pelvis), *((name, thorax) for name in (*SPINE[1:], "Neck", "Head"))):
         out[:, at(name)] = turn @ R[:, at(name)]
-    for side in ("Left", "Right"):
-        out[:, at(f"{side}Shoulder")] = thorax @ R[:, at(f"{side}Shoulder")]
-        for a, b in _LIMBS:
-            own, other = (so3.unit(v[:, at(side + b)] - v[:, at(side + a)]) for v in (p, shown))
+    for shoulder in CLAVICLES:
+        out[:, at(shoulder)] = thorax @ R[:, at(shoulder)]
+    for limb in kinematics.LIMBS:
+        upper, lower, end = map(at, limb)
+        for a, b in ((upper, lower), (lower, end)):
+            own, other = (so3.unit(v[:, b] - v[:, a]) for v in (p, shown))
             known = np.isfinite(other).all(axis=-1)
-            out[known, at(side + a)] = so3.minimal_rotation(own[known], other[known]) @ out[known, at(side + a)]
-        for a, b in (("Foot", "Leg"), ("Hand", "ForeArm")):  # without points beyond: as the segment before
-            turn = out[:, at(side + b)] @ np.swapaxes(R[:, at(side + b)], -1, -2)
-            out[:, at(side + a)] = turn @ R[:, at(side + a)]
+            out[known, a] = so3.minimal_rotation(own[known], other[known]) @ out[known, a]
+        turn = out[:, lower] @ np.swapaxes(R[:, lower], -1, -2)
+        out[:, end] = turn @ R[:, end]  # without points beyond: as the segment before
     return out
 
 
@@ -426,7 +414,7 @@ def _between(own: Array, other: Array) -> Array:
 
 def _relative_sigma(own: Lifted) -> Array:
     """(T, J, 2) standard deviations of joints relative to the root, across and along the ray, m."""
-    return np.where(np.isfinite(own.sigma_m), own.sigma_m, _OWN)
+    return np.where(np.isfinite(own.sigma_m), own.sigma_m, JOINT)
 
 
 def _by_ray(vectors: Array, p: Array, camera: Camera) -> Array:

@@ -113,7 +113,7 @@ def lift(
 # as weights, d the direction of the camera's ray (generalised least squares of independent estimates).
 # Orientations are averaged with the inverse squares of their standard deviations.
 
-_JOINT: Final = np.array([0.03, 0.08])
+JOINT: Final = np.array([0.03, 0.08])
 """[m] Standard deviations across and along the ray of a joint about the root where a lifter states none."""
 _ROOT: Final = np.array([0.03, 0.3])  #: [m] The same of the root
 _RAD: Final = 0.2  #: [rad] The same of an orientation
@@ -154,7 +154,7 @@ def fused(lifts: Sequence[Lifted], cameras: Sequence[KeypointSequence], skeleton
 def _information(lift: Lifted, seen: KeypointSequence) -> Array:
     """(T, J, 3, 3) weights in world of the root's position, and of the others relative to it."""
     ray = so3.unit(lift.poses.p_world_joint - seen.camera.center_world)
-    usual = np.tile(_JOINT, (ray.shape[1], 1))
+    usual = np.tile(JOINT, (ray.shape[1], 1))
     usual[0] = _ROOT
     sigma = np.where(np.isfinite(lift.sigma_m), lift.sigma_m, usual)
     across, along = (1 / sigma[..., i, None, None] ** 2 for i in (0, 1))
