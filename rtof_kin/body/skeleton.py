@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
-from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.body.skeleton_table import ImageShifts, SkeletonTable
 from rtof_kin.body.urdf import pin, read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -287,6 +287,10 @@ class SkeletonModel:
         """Return the skeleton with a neutral posture. posture: of joints of this skeleton; None where it is unknown."""
         self.index(*(posture.joints if posture else ()))
         return SkeletonModel(replace(self.table, posture=posture))
+
+    def with_image_points(self, shifts: ImageShifts) -> SkeletonModel:
+        """Return the skeleton of a person whose points a detector sees elsewhere, see `ImageShifts`."""
+        return SkeletonModel(replace(self.table, image_points=shifts))
 
     def with_prior(self, prior: PosePrior) -> SkeletonModel:
         """Return the skeleton with another pose prior of all its joints than the shipped one."""

@@ -10,8 +10,8 @@ segments from top to bottom. Fractions are of body mass and of segment length.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,11 @@ class Landmark:
     offset: Array  #: (3,) in the link frame of the segment, m
 
 
+ImageShifts = Mapping[str, Mapping[str, Array]]
+"""Detector's layout -> joint -> (3,) by how much the detector sees the points next to the joint beside their usual
+places, m, in the axes of their segments."""
+
+
 @dataclass(frozen=True)
 class SkeletonTable:
     """A skeleton as immutable data."""
@@ -115,6 +120,8 @@ class SkeletonTable:
     n_pose: dict[str, float]  #: Angles of the N-pose relative to the T-pose by URDF joint, rad
     posture: NeutralPosture | None = None  #: The person's own T-pose, where it is known
     model_prior: PosePrior | None = None  #: Pose prior of the model in use; None for the shipped one
+    image_points: ImageShifts = field(default_factory=dict)
+    """How far from their usual places a detector sees this person's points"""
 
     @property
     def names(self) -> tuple[str, ...]:

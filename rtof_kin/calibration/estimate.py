@@ -76,6 +76,7 @@ def calibrate(
     times = fragments.excerpt.times
     return SelfCalibration(
         quantities=tuple(_doubted(q, slices, shared) for q in quantities if q.kind != "place"),
+        places=tuple(q for q in quantities if q.kind == "place"),
         middle=float(times[0] + times[-1]) / 2,
         converged=shared.converged,
     )

@@ -113,6 +113,9 @@ class SelfCalibration:
     quantities: tuple[Quantity, ...]
     middle: float = 0.0  #: [s] Time stamp of the constant of a delay with a drift
     converged: bool = True
+    places: tuple[Quantity, ...] = ()
+    """By joint, how far from their usual place the detector sees the points next to it, m, in the axes of their
+    segments; of the person and the detector, neither applied nor written"""
 
     def __getitem__(self, kind_item: tuple[str, str]) -> Quantity:
         """Return a quantity by its kind and item; CalibrationError where it was not estimated."""

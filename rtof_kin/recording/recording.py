@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton_table import ImageShifts
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
@@ -160,6 +161,8 @@ class Recording(RecordingSource):
     sigma_bones: float | None = None
     """Standard deviation of bones of the person's file, relative to their length, which is no part of the folder; None
     where they are those of the folder."""
+    image_points: ImageShifts = field(default_factory=dict)
+    """Where the detector sees this person's points, of the person's file, which is no part of the folder."""
     truth: PoseSequence | None = None  #: Known poses in world at their own times, joints in the skeleton's order
     first_frame: int = 0  #: Index of the first video frame in the take that this was cut from; a label only
     acknowledgement: str = ""  #: Text that the data's owner asks to be printed with the results
@@ -225,9 +228,10 @@ class Recording(RecordingSource):
 
     @cached_property
     def skeleton(self) -> SkeletonModel:
-        """Subject's body: the table with these offsets, mass, sex, neutral posture and pose prior."""
+        """Subject's body: the table with these offsets, mass, sex, neutral posture, image points and pose prior."""
         body = body_of(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
         body = body if self.posture is None else body.with_posture(self.posture)
+        body = body.with_image_points(self.image_points) if self.image_points else body
         return body if self.model_prior is None else body.with_prior(self.model_prior)
 
     @property

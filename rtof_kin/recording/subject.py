@@ -45,6 +45,8 @@ SHARED_SD: Final = {
 """What no number of estimates falls below, of bones relative to their length. Precisions of errors that all recordings
 share do not add: estimates of bones from 43 recordings had a common error of 1.7 % (benchmarks/results/subject.md).
 """
+_SPREAD_OF_PLACES: Final = 0.015
+"""[m] Standard deviation per axis between persons of where a detector sees a joint; estimates are shrunk by it."""
 _UNKNOWN: Final = 0.036  #: Standard deviation of bones by the height, relative to their length
 _HEIGHT_BY_BONES: Final = 0.04  #: [m] Standard deviation of the height that bones make
 _Value = TypeVar("_Value")
@@ -101,7 +103,8 @@ class Subject(InputTable):
     posture_deg: dict[str, Estimate[Vector3]] = {}
     """Rotation vector of joints relative to their parents when the person stands in the T-pose."""
     image_points_m: dict[str, dict[str, Estimate[Vector3]]] = {}
-    """By detector's layout and point: where it sees the point, in the frame of the point's segment."""
+    """By detector's layout and joint: how far from their usual place it sees the points next to the joint, in the axes
+    of their segments."""
     history: dict[str, Annotated[tuple[Past, ...], Strict(False)]] = {}
     """All estimates by field, as joint_offsets_m.LeftLeg, merged and refused, in the order in which they came."""
 
@@ -141,6 +144,14 @@ class Subject(InputTable):
             turns = np.radians([one.value for one in self.posture_deg.values()])
             sigmas = np.radians([sd_of("posture_deg", one) for one in self.posture_deg.values()])
             facts["posture"] = NeutralPosture(tuple(self.posture_deg), so3.to_quat_wxyz(so3.exp(turns)), sigmas)
+        if self.image_points_m:
+            facts["image_points"] = {
+                layout: {
+                    joint: np.array(one.value) / (1 + (sd_of("image_points_m", one) / _SPREAD_OF_PLACES) ** 2)
+                    for joint, one in own.items()
+                }
+                for layout, own in self.image_points_m.items()
+            }
         return facts
 
 
@@ -150,8 +161,10 @@ def read_subject(path: str | Path) -> Subject:
         raise FileFormatError(path, "there is no such file; --update-subject makes it, or write it (docs/subject.md)")
     subject = Subject.read(path)
     joints = shipped(subject.skeleton).names[1:]
-    for field in ("joint_offsets_m", "posture_deg"):
-        if unknown := [name for name in getattr(subject, field) if name not in joints]:
+    named = {name: getattr(subject, name) for name in ("joint_offsets_m", "posture_deg")}
+    named |= {f"image_points_m.{layout}": own for layout, own in subject.image_points_m.items()}
+    for field, own in named.items():
+        if unknown := [name for name in own if name not in joints]:
             raise UnknownNameError("joint", unknown, joints, path, f"[{field}]")
     for joint, one in subject.joint_offsets_m.items():
         if not 1e-4 < np.linalg.norm(one.value) < 1.0:

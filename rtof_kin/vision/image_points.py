@@ -1,7 +1,8 @@
 """Points of a body that keypoints show, with their places in its segments.
 
 The skeleton's landmarks are fixed in their segments. A detector's own points lie where `detector_errors`
-says, turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg.
+says, turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg, and moved
+by what is known of the person (`SkeletonModel.with_image_points`).
 What moves them beside their segment, a second segment and the direction of view, is evaluated at known poses
 (`ImagePoints.displaced`).
 """
@@ -208,7 +209,8 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
         point = known[name]
         segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
         at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
-        place = at + leg * turns[segment] @ point.place
+        shift = skeleton.table.image_points.get(layout_and_point(name)[0], {}).get(point.anchor, 0.0)
+        place = at + leg * turns[segment] @ point.place + shift
         moving = leg * turns[second] @ point.second_place, leg * point.view
         points.append(_Point(segment, anchor, second, place, *moving, point.size, point.independent))
     L = len(points)

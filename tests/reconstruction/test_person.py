@@ -20,11 +20,13 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import CameraUncertainty
 from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.keypoints import detector_point
 from rtof_kin.reconstruction.person import Person, news_of_markers, update_subject
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.subject import Estimate, Subject, merged, read_subject
+from rtof_kin.vision.image_points import detector_points
 
 USUAL = SkeletonModel.default()
 POSTURE = {
@@ -146,7 +148,8 @@ def test_sensors_and_floor_show_a_body_of_another_size_where_the_height_is_not_g
 def test_bones_that_fit_no_better_are_not_used_and_the_rest_of_the_file_is(silent: tuple[Motion, Recording]) -> None:
     subject, _ = merged(file_of(person(7)), {"mass_kg": Estimate[Any](value=60.0)})
     who = compared(silent, subject, "rto", height=person(0).height)  # without sensors that show it
-    words = "bones and posture of P07.toml are not used: the motion fits no better with its bones than without"
+    why = "the motion fits no better with its bones than without"
+    words = f"bones, posture and image points of P07.toml are not used: {why}"
     assert (who.doubt, who.remarks) == ("", (words,))
     assert who.subject is not None
     assert set(who.subject.known) == {"mass_kg"}
@@ -202,6 +205,35 @@ def test_bones_and_ankles_of_a_calibration_count_without_their_prior() -> None:
         news(measured, replace(result, calibration=calibration))["joint_offsets_m.LeftLeg"].value,
         measured.joint_offsets[USUAL.index("LeftLeg")[0]],
     )  # what was measured stands
+
+
+def test_places_of_the_detector_count_without_their_prior_about_what_was_known() -> None:
+    truth = planted.human(USUAL, 12)
+    recording = planted.recording(truth)
+    video = recording.video.select(USUAL.names[:9])
+    names = tuple(detector_point("halpe26", name) for name in [*detector_points("halpe26")][:9])
+    result = reconstruct(recording, mode="lift", lifter=planted.PlantedLifter(truth))
+    prior, known = 0.025, np.array([0.01, 0.0, 0.0])
+    sigma, value = np.array([0.01, 0.02, 0.005]), np.array([0.012, -0.006, 0.003])
+    places = tuple(
+        Quantity("place", item, value, own, np.full(3, prior), 0.5)
+        for item, own in (("LeftLeg", sigma), ("LeftForeArm", sigma), ("Head", np.full(3, prior)))
+    )
+    found = news(
+        recording,
+        replace(
+            result,
+            recording=replace(recording, image_points={"halpe26": {"LeftLeg": known}}),
+            keypoints=replace(video, names=names),
+            calibration=SelfCalibration((), places=places),
+        ),
+    )
+    (field,) = found  # the elbow is not told apart, and the recording shows nothing of the head
+    assert field == "image_points_m.halpe26.LeftLeg"
+    variance = np.mean(sigma**2)
+    own, sd = found[field].value - known, found[field].sd / 2.5**0.5
+    np.testing.assert_allclose(own / sd**2 / (sd**-2 + prior**-2), value, rtol=1e-9)
+    assert 1 / (sd**-2 + prior**-2) == pytest.approx(variance)
 
 
 def test_the_ankle_height_of_the_file_is_used() -> None:

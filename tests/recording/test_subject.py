@@ -63,8 +63,8 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         "ankle_height_m": of(0.09, 0.01, "recording 1a2b3c4d"),
         "joint_offsets_m.LeftLeg": of([0.01, 0.0, -0.41], 0.006, "recording 1a2b3c4d"),
         "posture_deg.Spine": of([0.0, 8.2, -1.0], 4.0, 'said "so" in\nÅland \x7f'),
-        "image_points_m.halpe26.left knee": of([0.0, 0.02, 1e-7], 0.008),
-        "image_points_m.coco17.left_knee": of([0.0, 0.03, 0.0], 0.008),
+        "image_points_m.halpe 26.LeftLeg": of([0.0, 0.02, 1e-7], 0.008),
+        "image_points_m.coco17.LeftLeg": of([0.0, 0.03, 0.0], 0.008),
     }
     subject, said = merged(NOBODY, news)
     subject, refusal = merged(subject, {"height_m": of(1.9, 0.01, "recording 5e6f7a8b")})
@@ -100,6 +100,11 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         ),
         ("LeftLeg =", "LeftKnee =", "line 7, [joint_offsets_m] 'LeftKnee'. Did you mean"),
         ("Spine =", "Back =", "unknown joint in {file}, line 9, [posture_deg] 'Back'"),
+        (
+            "[posture_deg]",
+            "[image_points_m.coco17]\nleft_knee = { value = [0, 0, 0] }\n[posture_deg]",
+            "unknown joint in {file}, line 9, [image_points_m.coco17] 'left_knee'",
+        ),
         ("{ value = 1.74 }", "1.74", "height_m: not a table; write its fields under [height_m]"),
         ("{ value = 1.74 }", "{ value = 1.74", "not readable as TOML"),
     ],
@@ -209,6 +214,13 @@ def test_a_silent_recording_gets_what_the_file_knows(tmp_path: Path, recording: 
     bones = dict(usual.bone_lengths) | {"LeftLeg": 0.44}
     np.testing.assert_allclose([*found.skeleton.bone_lengths.values()], [*bones.values()], atol=1e-12)
     np.testing.assert_array_equal(found.video.uv_px, recording.video.uv_px)
+
+
+def test_points_in_the_image_are_moved_by_the_share_that_is_known(recording: Recording) -> None:
+    shift, sd = np.array([0.02, 0.0, -0.01]), 0.03
+    subject, _ = merged(NOBODY, {"image_points_m.mediapipe33.LeftLeg": of(shift.tolist(), sd)})
+    found = recording.with_facts(**subject.informed(recording)).skeleton.table.image_points
+    np.testing.assert_allclose(found["mediapipe33"]["LeftLeg"], shift * 0.015**2 / (0.015**2 + sd**2))
 
 
 def test_what_a_recording_gives_is_not_replaced(tmp_path: Path, recording: Recording) -> None:

@@ -54,6 +54,16 @@ def test_a_rig_with_turned_link_frames_has_the_same_points() -> None:
     np.testing.assert_allclose(other.displaced(CAMERA, p, R @ Q), own.displaced(CAMERA, p, R), atol=1e-6)
 
 
+def test_points_of_a_person_are_moved_in_their_segments() -> None:
+    p, R = POSES.p_world_joint, POSES.R_world_bone
+    shift = np.array([0.02, -0.01, 0.03])
+    own = BODY.with_image_points({"mediapipe33": {"LeftLeg": shift}, "halpe26": {"Head": shift}})
+    moved = points("mediapipe33", own).positions(p, R) - points("mediapipe33").positions(p, R)
+    knee = [*detector_points("mediapipe33")].index("LeftKnee")
+    np.testing.assert_allclose(moved[:, knee], R[:, BODY.index("LeftUpLeg")[0]] @ shift, atol=1e-12)
+    assert not np.delete(moved, knee, axis=1).any()
+
+
 def test_sides_are_mirror_images() -> None:
     p, R = BODY.forward_kinematics(BODY.t_pose()[None])
     found, M = points("mediapipe33"), np.array([1.0, -1.0, 1.0])
