@@ -97,6 +97,7 @@ def write_people(path: Path, people: People) -> None:
     write_npz(
         path,
         {
+            **found.about,
             "uv_px": found.uv_px,
             "confidence": found.confidence,
             "times": people.times,

@@ -51,6 +51,7 @@ class Detections:
     times: Array | None = None  #: (T,) s, if the file has them
     names: tuple[str, ...] | None = None  #: K names of the points in the file, if it has them
     identity: Ints | None = None  #: (T, P) numbers given by a tracker, -1 where there is none; None without a tracker
+    detector: str = ""  #: What found them and how fast, if the file says it
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -110,6 +111,12 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.uv_px)
+
+    @property
+    def about(self) -> dict[str, NDArray[np.uint8]]:
+        """Array `detector` of a file: text in UTF-8; none where it is not known."""
+        text = self.detector.encode()
+        return {"detector": np.frombuffer(text, np.uint8)} if text else {}
 
     @property
     def present(self) -> Mask:

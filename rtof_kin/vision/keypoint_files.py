@@ -13,7 +13,7 @@ CSV                         a header of ``<point>_x``, ``<point>_y``, - ``<point
 CSV, a row for each point   ``frame``, ``point_id``, ``x``, ``y``, - ``visibility``, - ``time``; Caliscope's
 TRC in pixels               Sports2D's ``*_px_*.trc``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
-                            - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P)
+                            - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P), - ``detector``
 NPY                         one array like that
 XDF                         one stream of channels ``<point>_x``, ``<point>_y``, - ``<point>_confidence``, px
 ==========================  ====================================================================
@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ _POINTS = ("pose_keypoints_2d", "pose_keypoints", "joints", "keypoints", "pose_l
 _SCORES = ("keypoint_scores", "visibility", "confidence", "score", "presence")
 _FRAME_SCORES = ("keypoint_scores", "scores")
 _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
+_LONGEST_TEXT = 200  # characters about the detector
 _MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
 
@@ -85,7 +87,10 @@ def _read(path: Path) -> Detections:
         return read_pixel_trc(path)
     if suffix == ".csv":
         return read_csv_table(path)
-    return _of_arrays(path, {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path))
+    arrays = {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path)
+    text = np.nan_to_num(arrays.get("detector", np.zeros(0))).clip(0, 255).astype(np.uint8).tobytes()
+    about = "".join(filter(str.isprintable, text.decode(errors="replace")))[:_LONGEST_TEXT]
+    return replace(_of_arrays(path, arrays), detector=about)
 
 
 def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:

@@ -229,3 +229,18 @@ def test_a_folder_must_hold_numbered_json(tmp_path: Path) -> None:
             (folder / f"{name}.json").write_text('{"people": []}')
         with pytest.raises(FileFormatError, match=f"{refused}.json: .* frame number"):
             read_detector_file(folder)
+
+
+@pytest.mark.parametrize(
+    ("array", "text"),
+    [
+        (np.frombuffer(b"pose.onnx on cpu, 31 frames per second", np.uint8), "pose.onnx on cpu, 31 frames per second"),
+        (np.frombuffer(b"two\x1b[2Jlines\n", np.uint8), "two[2Jlines"),
+        (np.array([65.0, np.nan, np.inf, -3.0, 300.0]), "A\ufffd\ufffd"),
+        (np.full((3, 400), 65), 200 * "A"),
+        (np.zeros(0), ""),
+    ],
+)
+def test_what_a_file_says_of_its_detector_is_printable_and_short(array: Array, text: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "p.npz", uv_px=UV, detector=array)
+    assert read_detector_file(tmp_path / "p.npz").detector == text
