@@ -20,7 +20,7 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.cli.options import FetchModels, Fields, ModelDir, Seconds, command, written
+from rtof_kin.cli.options import FetchModels, Fields, Models, Seconds, command, written
 from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, line, out, print_calibration, remark, say
 from rtof_kin.core.environment import without_warnings
@@ -70,7 +70,7 @@ def live(
     task: Annotated[ReconstructionTask, Fields("model subject")],
     seconds: Seconds = None,
     speed: Annotated[float, Parameter(metavar="X")] = 1.0,
-    detector: ModelDir,
+    detector: Models,
     fetch_models: FetchModels = None,
     finish: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
 ) -> None:
@@ -140,7 +140,7 @@ def live(
                 take,
                 speed=speed,
                 names=map,
-                detector=lambda: detector_of(detector.model_dir, fetch_models),
+                detector=lambda: detector_of(detector, fetch_models),
             )
         for source in streams.sources:
             stack.callback(source.close)

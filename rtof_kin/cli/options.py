@@ -188,7 +188,7 @@ Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is inst
 Model = Annotated[ReconstructionTask, Fields("model")]
 PERSON: Final = "subject update_subject"
 """Fields of `ReconstructionTask` for the person's file, of commands that may update it."""
-ModelDir = Annotated[SetupSettings, Fields("model_dir")]
+Models = Annotated[SetupSettings, Fields("model_dir provider")]
 FetchModels = Annotated[
     Literal["rtmpose", "mediapipe"] | None,
     Parameter(

@@ -16,7 +16,7 @@ from rtof_kin.cli.options import (
     FetchModels,
     Fields,
     File,
-    ModelDir,
+    Models,
     Output,
     Overwrite,
     Paper,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rtof_kin.setup.init import Detect, Findings
     from rtof_kin.setup.run import Run
     from rtof_kin.vision.detections import Detections
-    from rtof_kin.vision.person_detector import PersonDetector
+    from rtof_kin.vision.person_detector import Detector
 
 _KINDS = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
 _OF_KEYPOINTS = "rtof_kin.recording.cameras"  # Logger of how the person was followed, which the findings say
@@ -57,7 +57,7 @@ def run(
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height pose person camera_name phone_log keep_video model_dir",
+            "height pose person camera_name phone_log keep_video model_dir provider",
             rate_hz="rate",
             size_px="size",
             group="Recording",
@@ -113,7 +113,7 @@ def run(
 
     with progress() as update, without_warnings(RESULT_WARNINGS, _OF_KEYPOINTS):
         how: dict[str, Any] = {"overwrite": overwrite, "kept": kept, "progress": update}
-        how["detect"] = _detection(setup.model_dir, fetch_models, update)
+        how["detect"] = _detection(setup, fetch_models, update)
         if only:
             setup, name = replace(setup, lifter=task.lifter()), output.resolve().name
             found = make_recording(files, output, setup, name=name, made_with=task.model, **how)
@@ -188,7 +188,7 @@ def _print_run(done: Run, seconds: float) -> None:
     line("next", f"rtof-kin view {done.folder} (in 3D){film}")
 
 
-def detector_of(model_dir: Path | None, fetch: str | None, update: Progress | None = None) -> PersonDetector:
+def detector_of(setup: SetupSettings, fetch: str | None, update: Progress | None = None) -> Detector:
     """Return the detector that the options ask for; downloads models where they say so.
 
     Raises:
@@ -197,6 +197,7 @@ def detector_of(model_dir: Path | None, fetch: str | None, update: Progress | No
     from rtof_kin.vision.model_download import fetch_models, model_set
     from rtof_kin.vision.person_detector import choose_detector
 
+    model_dir = setup.model_dir
     if model_dir is not None and fetch is not None:
         raise InvalidInputError("--model-dir, --fetch-models: give one of them")
     if fetch is not None:
@@ -206,18 +207,18 @@ def detector_of(model_dir: Path | None, fetch: str | None, update: Progress | No
             model_dir = fetch_models(wanted, shown)
         for file in wanted.files:
             say(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published")
-    detector = choose_detector(model_dir)
+    detector = choose_detector(model_dir, setup.provider)
     say(f"detector: {detector.name}")
     return detector
 
 
-def _detection(model_dir: Path | None, fetch: str | None, update: Progress) -> Detect:
+def _detection(setup: SetupSettings, fetch: str | None, update: Progress) -> Detect:
     """Return what detects the people in a video by the detector that the options ask for."""
 
     def detect(video: Path) -> Detections:
         from rtof_kin.vision.video import detect_video
 
-        return detect_video(video, detector_of(model_dir, fetch, update), progress=update)
+        return detect_video(video, detector_of(setup, fetch, update), progress=update)
 
     return detect
 
@@ -228,7 +229,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    setup: ModelDir,
+    setup: Models,
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
@@ -255,7 +256,7 @@ def detect(
         if video.isdigit():
             raise InvalidInputError("--camera-motion needs a video file, not a webcam")
         check_new_file(camera_motion, overwrite)
-    detector = detector_of(setup.model_dir, fetch_models)
+    detector = detector_of(setup, fetch_models)
     with progress() as update:
         found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
     write_detections(output, found, overwrite)
@@ -264,6 +265,8 @@ def detect(
         f"wrote {output}: {len(found)} frames of up to {present.shape[1]} people, "
         f"{int(present.any(axis=1).sum())} frames with at least one"
     )
+    if found.detector:
+        say(f"detected by {found.detector}")
     if camera_motion is not None:
         _write_camera_motion(video, found, camera_motion, phone_log, overwrite)
     try:

@@ -15,6 +15,7 @@ Guard = Literal["sides", "person", "samples", "motion"]
 """What is rejected. sides: keypoints with left and right exchanged. person: keypoints of another person.
 samples: stuck and saturated samples of sensors. motion: sensors that contradict the solved motion."""
 Repeated = Literal["squat", "sit_to_stand"]  #: Movement that is counted
+Provider = Literal["cpu", "cuda", "coreml", "openvino"]  #: What runs the .onnx models of a detector
 Compile = Literal["auto", "never"]
 """auto: compile the energy to machine code if a C compiler exists. never: interpret it."""
 

@@ -24,7 +24,7 @@ from rtof_kin.live.video import VideoSource, is_webcam
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoint_files import FORMATS
-from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+from rtof_kin.vision.person_detector import Detector, choose_detector
 
 CAMERAS: Final = "number of a webcam, VIDEO, a detector's file, lsl:NAME, or the folder of a recording"
 """Words of a camera, for messages."""
@@ -63,7 +63,7 @@ def open_sources(
     *,
     speed: float = 1.0,
     names: str | Path | None = None,
-    detector: Callable[[], PersonDetector] = choose_detector,
+    detector: Callable[[], Detector] = choose_detector,
 ) -> Streams:
     """Return the sources that words name; nothing is started.
 
@@ -161,7 +161,7 @@ def _camera(
     word: str,
     setup: Recording,
     recording: Callable[[Path], Recording],
-    detector: Callable[[], PersonDetector],
+    detector: Callable[[], Detector],
     now: Callable[[], float],
     **how: Any,
 ) -> Source:

@@ -14,7 +14,7 @@ from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.vision.detections import Detections, Person, of_body
 from rtof_kin.vision.keypoints import MOST_OUTSIDE, keypoint_names, with_own_points
 from rtof_kin.vision.landmark_regression import LandmarkRegression, recognise
-from rtof_kin.vision.person_detector import PersonDetector
+from rtof_kin.vision.person_detector import Detector
 from rtof_kin.vision.tracking import PersonFollower
 
 _LAYOUTS: Final = {
@@ -39,7 +39,7 @@ class PersonPoints:
         SourceError: no layout has as many points; the images have another form than the camera's.
     """
 
-    def __init__(self, detector: PersonDetector, image_px: tuple[int, int], camera_px: tuple[int, int] | None = None):
+    def __init__(self, detector: Detector, image_px: tuple[int, int], camera_px: tuple[int, int] | None = None):
         self._detector = detector
         self._regression = LandmarkRegression.default()
         if detector.points not in _LAYOUTS:

@@ -27,7 +27,7 @@ from rtof_kin.core.packages import optional
 from rtof_kin.live.person_points import PersonPoints
 from rtof_kin.live.replay import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, Sample
-from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+from rtof_kin.vision.person_detector import Detector, choose_detector
 from rtof_kin.vision.video import read_video
 from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
@@ -196,7 +196,7 @@ class Examination:
         self,
         images: Images,
         first: Image,
-        detector: PersonDetector,
+        detector: Detector,
         points: PersonPoints,
         replay: ReplayClock | None,
         now: Callable[[], float],
@@ -286,7 +286,7 @@ class Examination:
         finally:
             self._end(False)
 
-    def _examine(self, detector: PersonDetector) -> None:
+    def _examine(self, detector: Detector) -> None:
         """Detect the person in the images that are handed over."""
         try:
             with closing(detector):
@@ -326,7 +326,7 @@ class VideoSource:
     def __init__(
         self,
         source: str | Path | int,
-        detector: Callable[[], PersonDetector] = choose_detector,
+        detector: Callable[[], Detector] = choose_detector,
         *,
         camera_px: tuple[int, int] | None = None,
         replay: ReplayClock | None = None,

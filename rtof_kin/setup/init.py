@@ -106,7 +106,7 @@ def find_people(
     if detect is None:
 
         def detect(path: Path) -> Detections:
-            return detect_video(path, settings.model_dir, progress=progress)
+            return detect_video(path, settings.model_dir, provider=settings.provider, progress=progress)
 
     found = _detections(sources, video, detect)
     known = recognise(found.uv_px, found.confidence, found.names)
@@ -368,11 +368,12 @@ def _detections(sources: Sources, video: _Video, detect: Detect) -> Detections:
 def _keypoints(sources: Sources, settings: SetupSettings, kind: Layout, people: People, number: int) -> Tables:
     origin = Origin.FOUND if settings.person is None else Origin.GIVEN
     source = "the detector" if sources.keypoints is None else sources.keypoints.name
+    by = people.detections.detector
     who = f"person {number} of {len(people)} in {PICTURE}"
     other = "; --person takes another one" if settings.person is None and len(people) > 1 else ""
     return {
         "file": Field(KEYPOINTS, Origin.FILE, f"{source}; all people"),
-        "layout": Field(kind.name, Origin.FOUND, kind.title),
+        "layout": Field(kind.name, Origin.FOUND, kind.title, by and f"{kind.title}, by {by}"),
         "person_number": Field(number, origin, who, who + other if len(people) > 1 else ""),
         "frame": Field(people.first_frame(number), note="in which the person has that number, from 0"),
     }

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rtof_kin.core.choices import Mode
+from rtof_kin.core.choices import Mode, Provider
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -35,8 +35,10 @@ class SetupSettings:
     keep_video: bool = True
     """Whether the folder may show and name the video; otherwise the keypoints alone are kept."""
     model_dir: Path | None = None
-    """Folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; default:
-    what is at hand, downloaded models, else MediaPipe."""
+    """Folder of .onnx files (RTMPose, ViTPose or RTMO, and YOLOX, RTMDet or RF-DETR to find people), or with
+    MediaPipe's .task; default: what is at hand, downloaded models, else MediaPipe."""
+    provider: Provider = field(default="cpu", compare=False)
+    """What runs .onnx models: cpu, or cuda (NVIDIA), coreml (Mac), openvino (Intel), each by its own ONNX Runtime."""
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 

@@ -4,9 +4,8 @@ People and their 33 keypoints by MediaPipe's Pose Landmarker. Older packages (0.
 need a ``.task`` file. Both are run in the same way: contained models are bundled, in memory, with what a bundle states
 beside them, the normalisation of images to [-1, 1] for the detector of people and to [0, 1] for the landmarks.
 
-People and their keypoints by ONNX models (RTMPose, RTMO; YOLOX, RTMDet), run by ``rtmlib``. The kind of a model follows
-from its inputs and outputs: RTMPose has outputs (K, x) and (K, y), RTMO has boxes and keypoints, a person detector
-(YOLOX, RTMDet) has boxes only.
+People and their keypoints by ONNX models, run by the classes of ``rtmlib`` in ONNX Runtime on the processor or, by an
+execution provider, on a graphics card. Which class runs a model follows from its outputs (`_class_of`).
 """
 
 from __future__ import annotations
@@ -16,40 +15,65 @@ import importlib.util
 import io
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.choices import Provider
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
 from rtof_kin.vision.model_download import ModelSet, cached_models, model_sets
+
+Image = NDArray[np.uint8]
+
+
+class Detector(Protocol):
+    """Finds the people in consecutive images of one video and their keypoints."""
+
+    name: str  #: Its models, for people
+    points: int  #: Number of points of a person
+
+    def find(self, image: Image, time: float) -> list[Person]:
+        """Return the people in the next image. image: (height, width, 3), BGR, upright. time: of the image, s."""
+
+    def close(self) -> None:
+        """Release what it holds."""
+
 
 _WANTED = (
     "put an RTMPose body model (body with feet gives 26 points, body 17) and, for more than one person "
     "or a person far away, a YOLOX or RTMDet person detector there as .onnx files"
 )
+_ALONE: Final = "pip uninstall onnxruntime, then pip install"
+_PROVIDERS: Final[dict[Provider, tuple[str, str]]] = {
+    "cpu": ("CPUExecutionProvider", "pip install onnxruntime"),
+    "cuda": ("CUDAExecutionProvider", f'{_ALONE} "onnxruntime-gpu[cuda,cudnn]" (an NVIDIA card and its driver)'),
+    "coreml": ("CoreMLExecutionProvider", "pip install onnxruntime, on a Mac"),
+    "openvino": ("OpenVINOExecutionProvider", f"{_ALONE} onnxruntime-openvino (Intel; Linux, Windows)"),
+}
+"""Provider -> its name in ONNX Runtime, and what brings it."""
 
 
-class _ModelFile(NamedTuple):
-    """An ONNX file of a detector."""
+class _Model(NamedTuple):
+    """An ONNX model, loaded."""
 
     path: Path
-    kind: Literal["pose", "pose and people", "people"]  # RTMPose, RTMO, or a person detector
-    height: int  # of the input, px
-    width: int
-    points: int  # 0 for a person detector
+    kind: str  #: Class of ``rtmlib`` that runs it
+    points: int  #: 0 of one that finds people only
+    size_px: tuple[int, int]  #: Height and width of the input
+    session: Any
 
 
-def _find_models(folder: str | Path) -> tuple[_ModelFile, _ModelFile | None]:
+def _find_models(folder: str | Path, provider: Provider) -> tuple[_Model, _Model | None]:
     """Return the pose model of a folder and its person detector, if one is needed and present."""
     folder = Path(folder)
     if not folder.is_dir():
         raise FileFormatError(folder, f"there is no such folder of models; {_WANTED}")
-    models = [_described(path) for path in sorted(folder.glob("*.onnx"))]
+    models = [_loaded(path, provider) for path in sorted(folder.glob("*.onnx"))]
     poses = [model for model in models if model.points]
     people = [model for model in models if not model.points]
     if not poses:
@@ -59,70 +83,70 @@ def _find_models(folder: str | Path) -> tuple[_ModelFile, _ModelFile | None]:
         if len(some) > 1:
             names = ", ".join(model.path.name for model in some)
             raise FileFormatError(folder, f"several models of {what}: {names}; leave one of them there")
-    return poses[0], people[0] if people and poses[0].kind == "pose" else None
+    return poses[0], people[0] if people and poses[0].kind != "RTMO" else None
 
 
-def _described(path: Path) -> _ModelFile:
-    """Return the kind and sizes of an ONNX model from its inputs and outputs."""
+def _loaded(path: Path, provider: Provider) -> _Model:
+    """Load a model, and recognise it by its inputs and outputs."""
     runtime = optional("onnxruntime", "video")
-    try:
-        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's errors have no common base
-        raise FileFormatError(path, f"not a readable ONNX model: {error}") from error
+    name, remedy = _PROVIDERS[provider]
+    if name not in (have := runtime.get_available_providers()):
+        known = ", ".join(one.removesuffix("ExecutionProvider") for one in have)
+        raise MissingPackageError(f"provider {provider}: ONNX Runtime has {known} here; {remedy}")
+    with _native_messages_hidden(), contextlib.redirect_stdout(io.StringIO()):
+        if provider == "cuda" and hasattr(runtime, "preload_dlls"):
+            runtime.preload_dlls()  # of NVIDIA's Python packages
+        try:
+            session = runtime.InferenceSession(str(path), providers=list(dict.fromkeys([name, _PROVIDERS["cpu"][0]])))
+        except Exception as error:  # onnxruntime's errors have no common base
+            raise FileFormatError(path, f"not a readable ONNX model: {error}") from error
+    if name not in session.get_providers():
+        raise MissingPackageError(f"provider {provider}: does not start, its driver or libraries are missing; {remedy}")
     inputs = [tuple(value.shape) for value in session.get_inputs()]
-    outputs = [tuple(value.shape) for value in session.get_outputs()]
-    ranks = [len(shape) for shape in outputs]
     image = inputs[0] if len(inputs) == 1 else ()
     if len(image) != 4 or image[1] != 3 or not all(isinstance(n, int) for n in image[2:]):
         raise FileFormatError(path, f"its inputs {inputs} are not one image (N, 3, height, width)")
-    kind: Literal["pose", "pose and people", "people"] = "people"
-    points = 0
-    if ranks == [3, 3] and outputs[0][1] == outputs[1][1]:
-        kind, points = "pose", outputs[0][1]
-    elif ranks == [3, 4]:
-        kind, points = "pose and people", outputs[1][2]
-    elif not ranks or ranks[0] != 3:
-        raise FileFormatError(path, f"its outputs {outputs} are not RTMPose's, RTMO's, YOLOX's or RTMDet's")
+    outputs = [tuple(value.shape) for value in session.get_outputs()]
+    kind, points = _class_of(path, outputs)
     if not isinstance(points, int):
         raise FileFormatError(path, f"its outputs {outputs} do not state the number of points")
-    return _ModelFile(path, kind, image[2], image[3], points)
+    return _Model(path, kind, points, image[2:], session)
 
 
-class OnnxDetector:
-    """Detector of people and their keypoints; without a person model the image is one person."""
+def _class_of(path: Path, outputs: list[tuple[Any, ...]]) -> tuple[str, Any]:
+    """Return the class of ``rtmlib`` that runs a model, and its number of points K; 0 of one that gives boxes only."""
+    ranks, K = [len(shape) for shape in outputs], [shape[1] for shape in outputs if len(shape) > 1]
+    if ranks == [3, 3] and outputs[0][2] == 4:  # boxes and classes
+        return "RFDETR", 0
+    if ranks in ([3, 3], [3, 3, 3]) and len(set(K)) == 1:  # a line of scores along x, y (and z)
+        return ("RTMPose", "RTMPose3d")[len(ranks) - 2], K[0]
+    if ranks == [4]:  # an image of scores
+        return "ViTPose", K[0]
+    if ranks == [3, 4]:  # boxes and points
+        return "RTMO", outputs[1][2]
+    if ranks[:1] == [3]:
+        return "RTMDet" if "rtmdet" in path.stem.lower() else "YOLOX", 0
+    raise FileFormatError(path, f"its outputs {outputs} are not RTMPose's, ViTPose's, RTMO's, YOLOX's or RTMDet's")
 
-    def __init__(self, folder: str | Path):
-        """Load the models of a folder; rtmlib never downloads, as it gets files that exist. `FileFormatError` without
-        pose model, for several of a kind, or another kind; `RtofError` without the extra ``video``.
-        """
-        pose, people = _find_models(folder)
-        rtmlib = optional("rtmlib", "video")
-        self.points = pose.points
-        self._one_stage = pose.kind != "pose"
-        make = rtmlib.RTMO if self._one_stage else rtmlib.RTMPose
-        size = (pose.height, pose.width) if self._one_stage else (pose.width, pose.height)
-        self._pose = _loaded(make, pose, size)
-        self._people: Any = None
-        if people is not None:
-            boxes = rtmlib.RTMDet if "rtmdet" in people.path.stem.lower() else rtmlib.YOLOX
-            self._people = _loaded(boxes, people, (people.height, people.width))
 
-        names = [model.path.name for model in (pose, people) if model is not None]
-        self.name = " and ".join(names)
+class RtmlibDetector:
+    """People and points by a class of ``rtmlib`` that takes an image alone: RTMO, Body, BodyWithFeet, Wholebody,
+    Wholebody3d, Custom, PoseTracker.
 
-    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:  # noqa: ARG002
+    `model`: gives points and scores of each person, one in space last also the points in the image, px. `points`:
+    number of points of a person. `name`: for people; default: the class.
+    """
+
+    def __init__(self, model: Callable[[Image], Any], points: int, name: str = ""):
+        """Take a model that is loaded."""
+        self._model, self.points, self.name = model, points, name or f"rtmlib's {type(model).__name__}"
+
+    def find(self, image: Image, time: float) -> list[Person]:  # noqa: ARG002
         """Return the people in an image. image: (height, width, 3), BGR. time: of the image, s; not used."""
-        if self._one_stage:
-            points, scores = self._pose(image)
-        else:
-            height, width = image.shape[:2]
-            boxes = [[0, 0, width, height]] if self._people is None else self._people(image)
-            if len(boxes) == 0:
-                return []
-            points, scores = self._pose(image, bboxes=boxes)
+        points, scores, *in_space = self._model(image)
         people = [
             Person(np.column_stack([uv, np.clip(c, 0.0, 1.0)]).astype(np.float64))
-            for uv, c in zip(points, scores, strict=True)
+            for uv, c in zip(in_space[-1] if in_space else points, scores, strict=True)
         ]
         return [person for person in people if np.any(person.points[:, 2] > 0)]
 
@@ -130,10 +154,33 @@ class OnnxDetector:
         """Nothing to release."""
 
 
-def _loaded(make: Any, model: _ModelFile, size: tuple[int, int]) -> Any:
-    """Load a model; rtmlib prints while it does."""
+class OnnxDetector(RtmlibDetector):
+    """Detector of people and their keypoints; without a person model the image is one person."""
+
+    def __init__(self, folder: str | Path, provider: Provider = "cpu"):
+        """Load the models of a folder; rtmlib never downloads, as it gets files that exist. `FileFormatError` without
+        pose model, for several of a kind, or another kind; `RtofError` without the extra ``video`` or the provider.
+        """
+        pose, people = _find_models(folder, provider)
+        points, boxes = _run(pose), None if people is None else _run(people)
+
+        def of_boxes(image: Image) -> Any:
+            height, width = image.shape[:2]
+            found = [[0, 0, width, height]] if boxes is None else boxes(image)
+            return points(image, bboxes=found) if len(found) else ([], [])
+
+        names = " and ".join(model.path.name for model in (pose, people) if model is not None)
+        super().__init__(points if pose.kind == "RTMO" else of_boxes, pose.points, f"{names} on {provider}")
+
+
+def _run(model: _Model) -> Callable[..., Any]:
+    """Return the class of ``rtmlib`` that runs a model, in the session that is loaded."""
+    size = model.size_px[::-1] if model.kind in ("RTMPose", "RTMPose3d", "ViTPose") else model.size_px
+    make = getattr(optional("rtmlib", "video"), model.kind)
     with contextlib.redirect_stdout(io.StringIO()):
-        return make(str(model.path), model_input_size=size, backend="onnxruntime", device="cpu")
+        run: Any = make(str(model.path), model_input_size=size, backend="onnxruntime", device="cpu")
+    run.session = model.session
+    return run  # type: ignore[no-any-return]
 
 
 MOST_PEOPLE: Final = 4
@@ -188,7 +235,7 @@ class MediaPipeDetector:
             raise FileFormatError(model or "MediaPipe's own model", f"not loaded: {reason}") from error
         self._stamp_ms, self._started = -1, False
 
-    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
+    def find(self, image: Image, time: float) -> list[Person]:
         """Return the people in the next image (height, width, 3), BGR, of a video, at a time, s, the surest first."""
         self._stamp_ms = max(self._stamp_ms + 1, round(1000 * time))
         rgb = np.ascontiguousarray(image[..., ::-1])
@@ -201,7 +248,8 @@ class MediaPipeDetector:
 
     def close(self) -> None:
         """Release the model."""
-        self._landmarker.close()
+        with _native_messages_hidden():
+            self._landmarker.close()
 
 
 @contextlib.contextmanager
@@ -251,31 +299,18 @@ def _bundle() -> bytes:
     return bundle.getvalue()
 
 
-class PersonDetector(Protocol):
-    """Finds the people in consecutive images of one video and their keypoints."""
-
-    name: str  #: Its models, for people
-    points: int  #: Number of points of a person
-
-    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
-        """Return the people in the next image. image: (height, width, 3), BGR, upright. time: of the image, s."""
-
-    def close(self) -> None:
-        """Release what it holds."""
-
-
-def choose_detector(models: str | Path | None = None) -> PersonDetector:
+def choose_detector(models: str | Path | None = None, provider: Provider = "cpu") -> Detector:
     """Return the given detector (folder of .onnx files or with a .task file, or a .task file), else one of downloaded
-    models, else MediaPipe's own. Downloads nothing. `FileFormatError`: the models cannot be used; `RtofError`: no
-    detector is at hand; the message has the commands that provide one.
+    models, else MediaPipe's own. `provider`: runs .onnx models. Downloads nothing. `FileFormatError`: the models cannot
+    be used; `RtofError`: the provider is not at hand, or no detector; the message has the commands that provide one.
     """
     if models is not None:
-        return _given(Path(models))
+        return _given(Path(models), provider)
     for wanted in model_sets():
         if not wanted.missing and (folder := cached_models(wanted)) is not None:
-            return _given(folder)
+            return _given(folder, provider)
     if contained_models() is not None:
-        return MediaPipeDetector()
+        return _mediapipe(None, provider)
     ways = [_way(wanted) for wanted in model_sets()]
     ways.append("your own .onnx or .task models: --model-dir DIR")
     ways.append("keypoints of another program: give their file instead of the video")
@@ -283,16 +318,23 @@ def choose_detector(models: str | Path | None = None) -> PersonDetector:
     raise RtofError(f"no detector of people is at hand, and nothing is downloaded unasked. Choose one:\n{listed}")
 
 
-def _given(path: Path) -> PersonDetector:
+def _given(path: Path, provider: Provider) -> Detector:
     if path.suffix.lower() == ".task":
-        return MediaPipeDetector(path)
+        return _mediapipe(path, provider)
     bundles = sorted(path.glob("*.task")) if path.is_dir() else []
     if not bundles or any(path.glob("*.onnx")):
-        return OnnxDetector(path)
+        return OnnxDetector(path, provider)
     if len(bundles) > 1:
         names = ", ".join(bundle.name for bundle in bundles)
         raise FileFormatError(path, f"several models: {names}; leave one of them there")
-    return MediaPipeDetector(bundles[0])
+    return _mediapipe(bundles[0], provider)
+
+
+def _mediapipe(model: Path | None, provider: Provider) -> Detector:
+    if provider != "cpu":
+        ways = "take such models (--fetch-models rtmpose, --model-dir DIR), or leave the provider out"
+        raise InvalidInputError(f"provider {provider}: runs .onnx models, and MediaPipe's is none; {ways}")
+    return MediaPipeDetector(model)
 
 
 def _way(wanted: ModelSet) -> str:

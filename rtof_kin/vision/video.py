@@ -13,18 +13,19 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core.choices import Provider
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Detections, Person
-from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+from rtof_kin.vision.person_detector import Detector, choose_detector
 from rtof_kin.vision.video_metadata import frame_count, frame_rate, open_video, slow_motion, upright_image
 
 Progress = Callable[[str, int, int], None]
@@ -43,8 +44,9 @@ class VideoFrame:
 
 def detect_video(
     source: str | Path | int,
-    detector: PersonDetector | str | Path | None = None,
+    detector: Detector | str | Path | None = None,
     *,
+    provider: Provider = "cpu",
     seconds: float | None = None,
     progress: Progress | None = None,
 ) -> Detections:
@@ -53,6 +55,7 @@ def detect_video(
     Args:
         source: video file, or number of a webcam; a webcam may be stopped with Ctrl-C.
         detector: one that was not used for another video, or the models for `choose_detector`; None: the one at hand.
+        provider: runs .onnx models that are not loaded yet.
         seconds: duration after which to stop; required for a webcam.
         progress: called with ("detect", frames done, frames in total).
 
@@ -62,15 +65,19 @@ def detect_video(
     """
     if isinstance(source, int) and seconds is None:
         raise InvalidInputError(f"webcam {source}: give seconds, the duration of the recording")
-    chosen = choose_detector(detector) if isinstance(detector, str | Path | None) else detector
+    chosen = choose_detector(detector, provider) if isinstance(detector, str | Path | None) else detector
     times: list[float] = []
     people: list[list[Person]] = []
+    spent: list[float] = []
     with closing(chosen):
         try:
             for frame in read_video(source):
                 if seconds is not None and frame.time > seconds:
                     break
-                people.append(chosen.find(frame.image, frame.time))
+                began = time.perf_counter()
+                seen = chosen.find(frame.image, frame.time)
+                spent.append(time.perf_counter() - began)
+                people.append(seen)
                 times.append(frame.time)
                 if progress is not None:
                     progress("detect", frame.index + 1, max(frame.total, frame.index + 1))
@@ -78,9 +85,11 @@ def detect_video(
             if not isinstance(source, int) or not times:
                 raise
     try:
-        return Detections.of_frames(dict(enumerate(people)), np.array(times))
+        found = Detections.of_frames(dict(enumerate(people)), np.array(times))
     except InvalidInputError as error:
         raise FileFormatError(_name(source), f"{error}") from error
+    rate_hz = 1 / np.mean(spent[1:] or spent)  # the first image also prepares the model
+    return replace(found, detector=f"{chosen.name}, {rate_hz:.3g} frames per second")
 
 
 def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
@@ -162,7 +171,8 @@ def write_detections(path: str | Path, detections: Detections, overwrite: bool =
     """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads; errors as
     `core.files.folder.new_file`.
     """
-    arrays: dict[str, NDArray[Any]] = {"uv_px": detections.uv_px, "confidence": detections.confidence}
+    arrays: dict[str, NDArray[Any]] = {**detections.about, "uv_px": detections.uv_px}
+    arrays["confidence"] = detections.confidence
     if detections.times is not None:
         arrays["times"] = detections.times
     write_npz(Path(path), arrays, overwrite)

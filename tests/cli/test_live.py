@@ -28,6 +28,7 @@ from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.recording.recording import Recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.vision.detections import Person
 
 DEMO = model_path("demo")
@@ -127,19 +128,19 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
     pytest.importorskip("onnx")
     from dot_detector import write_video
 
-    asked: list[Path | None] = []
+    asked: list[tuple[Path | None, str]] = []
 
-    def of(models: Path | None, fetch: str | None) -> Walking:
-        asked.append(models)
+    def of(setup: SetupSettings, fetch: str | None) -> Walking:
+        asked.append((setup.model_dir, setup.provider))
         return Walking()
 
     monkeypatch.setattr("rtof_kin.cli.live.detector_of", of)
     images = [np.zeros((108, 192, 3), dtype=np.uint8)] * 50
     film = write_video(tmp_path / "film.mp4", images)
     take = tmp_path / "take"
-    options = ("--speed", "inf", "--fps", 25, "--model-dir", "models", "-o", take)
+    options = ("--speed", "inf", "--fps", 25, "--model-dir", "models", "--provider", "cuda", "-o", take)
     done = cli.ok("live", DEMO, "--camera", film, *options)
-    assert asked == [Path("models")]
+    assert asked == [(Path("models"), "cuda")]
     assert "video: 50 samples" in done.out
     assert "L_UpArm" not in done.out
     assert estimator["setup"].calibration is None

@@ -20,6 +20,9 @@ from rtof_kin.setup.init import Findings, find_people, read_findings, write_reco
 from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoint_files import read_detector_file
+from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.video import write_detections
 
 SETTINGS = SetupSettings(height=1.72, size_px=(1920, 1080))
 
@@ -61,6 +64,17 @@ def test_keypoints_become_a_recording_with_every_assumption_said(tmp_path: Path)
     assert found.text.startswith("doubtful: the take lasts 1.6 s")
     assert found.text.endswith("given: the person is 1.72 m tall")
     assert (tmp_path / "out" / "frames.png").stat().st_size > 1000
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_what_found_the_points_and_how_fast_is_kept(tmp_path: Path) -> None:
+    found = read_detector_file(write_keypoints(tmp_path / "walk.npz", walker()))
+    write_detections(tmp_path / "own.npz", replace(found, detector="pose.onnx on cpu, 31 frames per second"))
+    said = set_up(tmp_path / "out", SETTINGS, tmp_path / "own.npz")
+    title = detector_table().layout(LAYOUT).title
+    assert f"found: {title}, by pose.onnx on cpu, 31 frames per second" in said.text
+    assert read_detector_file(tmp_path / "out" / "keypoints.npz").detector == "pose.onnx on cpu, 31 frames per second"
+    assert Recording.load(tmp_path / "out").notes == said.text
 
 
 @pytest.mark.usefixtures("no_picture")

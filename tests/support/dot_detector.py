@@ -39,8 +39,10 @@ def saved(
     onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
 
 
-def pose_model(path: Path, count: int) -> None:
-    """Like RTMPose: for each point, how much its colour is in each column and in each row."""
+def pose_model(path: Path, count: int, kind: str = "RTMPose") -> None:
+    """Like RTMPose: for each point, how much its colour is in each column and in each row; like RTMPose3d, a third such
+    line too, or like ViTPose, an image of it.
+    """
     node = onnx.helper.make_node
     kernel = (colours(count) * STD).astype(np.float32)[:, :, None, None] / 255
     shift = (colours(count) @ MEAN).astype(np.float32) / 255
@@ -50,9 +52,13 @@ def pose_model(path: Path, count: int) -> None:
         node("ReduceMax", ["near"], ["rows"], axes=[3], keepdims=0),
         node("Resize", ["columns", "", "twice"], ["simcc_x"], mode="linear"),
         node("Resize", ["rows", "", "twice"], ["simcc_y"], mode="linear"),
+        node("Identity", ["simcc_x"], ["simcc_z"]),
+        node("MaxPool", ["near"], ["heat"], kernel_shape=[4, 4], strides=[4, 4]),
     ]
     constants = {"kernel": kernel, "shift": shift, "twice": np.array([1, 1, 2], dtype=np.float32)}
-    outputs = {"simcc_x": ["N", count, 384], "simcc_y": ["N", count, 512]}
+    shapes = {"simcc_x": ["N", count, 384], "simcc_y": ["N", count, 512], "simcc_z": ["N", count, 384]}
+    given = {"RTMPose": ("simcc_x", "simcc_y"), "RTMPose3d": ("simcc_x", "simcc_y", "simcc_z")}
+    outputs = {name: shapes[name] for name in given.get(kind, ())} or {"heat": ["N", count, 64, 48]}
     saved(path, nodes, constants, (256, 192), outputs)
 
 
@@ -66,6 +72,23 @@ def people_model(path: Path, boxes: list[list[float]]) -> None:
     ]
     constants = {"boxes": np.array([boxes], dtype=np.float32), "zero": np.zeros(1, dtype=np.float32)}
     saved(path, nodes, constants, (480, 640), {"dets": [1, len(boxes), 5]})
+
+
+def transformer_model(path: Path, boxes: list[list[float]]) -> None:
+    """Like RF-DETR: always the same boxes, of the centre and size in parts of the image, and the class of each."""
+    node = onnx.helper.make_node
+    nodes = [
+        node("ReduceMin", ["input"], ["least"], axes=[1, 2, 3], keepdims=0),
+        node("Mul", ["least", "zero"], ["nothing"]),
+        node("Add", ["boxes", "nothing"], ["dets"]),
+        node("Add", ["classes", "nothing"], ["labels"]),
+    ]
+    classes = np.full((1, len(boxes), 91), -9.0, dtype=np.float32)
+    for i, box in enumerate(boxes):
+        classes[0, i, int(box[4])] = 3.0
+    constants = {"boxes": np.array([boxes], dtype=np.float32)[..., :4], "classes": classes}
+    outputs = {"dets": [1, len(boxes), 4], "labels": [1, len(boxes), 91]}
+    saved(path, nodes, constants | {"zero": np.zeros(1, dtype=np.float32)}, (480, 640), outputs)
 
 
 def write_video(

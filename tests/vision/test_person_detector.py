@@ -11,21 +11,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dot_detector import people_model, pose_model, saved
+from dot_detector import people_model, pose_model, saved, transformer_model
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.choices import Provider
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
 from rtof_kin.vision import person_detector
 from rtof_kin.vision.model_download import ModelFile, ModelSet, model_sets, models_folder
-from rtof_kin.vision.person_detector import MediaPipeDetector, OnnxDetector, choose_detector, contained_models
+from rtof_kin.vision.person_detector import (
+    MediaPipeDetector,
+    OnnxDetector,
+    RtmlibDetector,
+    choose_detector,
+    contained_models,
+)
 from rtof_kin.vision.video import detect_video
 
 
 class Loaded:
     """Stands for a detector; remembers its models."""
 
-    def __init__(self, models: Path | None = None):
-        self.name = "own" if models is None else models.name
+    def __init__(self, models: Path | None = None, provider: Provider = "cpu"):
+        self.name, self.points = "own" if models is None else models.name, 17
+        self.provider = provider
 
 
 @pytest.fixture
@@ -64,6 +72,23 @@ def test_given_models_are_used_before_all_others(tmp_path: Path, monkeypatch: py
         choose_detector(tmp_path)
     (tmp_path / "pose.onnx").touch()
     assert choose_detector(tmp_path).name == tmp_path.name
+
+
+@pytest.mark.usefixtures("offline")
+def test_a_provider_is_for_models_that_onnx_runtime_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cached(monkeypatch)
+    for models in (None, tmp_path):
+        chosen = choose_detector(models, "openvino")
+        assert isinstance(chosen, Loaded)
+        assert chosen.provider == "openvino"
+    (tmp_path / "pose.task").touch()
+    for path in (tmp_path, tmp_path / "pose.task"):
+        with pytest.raises(InvalidInputError, match="provider cuda: runs .onnx models, and MediaPipe's is none"):
+            choose_detector(path, "cuda")
+    monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: wanted.needs))
+    monkeypatch.setattr(person_detector, "contained_models", lambda: {})
+    with pytest.raises(InvalidInputError, match="or leave the provider out"):
+        choose_detector(None, "cuda")
 
 
 @pytest.mark.usefixtures("offline")
@@ -271,7 +296,8 @@ def test_invalid_models_are_refused(folder: Path, tmp_path: Path) -> None:
 def test_models_are_recognised_by_inputs_and_outputs(folder: Path) -> None:
     helper = onnx.helper
     odd = [helper.make_node("ReduceMax", ["input"], ["heat"], axes=[1], keepdims=1)]
-    saved(folder / "odd.onnx", odd, {}, (64, 48), {"heat": ["N", 1, 64, 48]})
+    flat = helper.make_node("Flatten", ["heat"], ["classes"])
+    saved(folder / "odd.onnx", [*odd, flat], {}, (64, 48), {"classes": ["N", 3072]})
     with pytest.raises(FileFormatError, match=r"odd.onnx: its outputs .* are not RTMPose's"):
         OnnxDetector(folder)
     saved(folder / "odd.onnx", odd, {}, ("H", 48), {"heat": ["N", 1, "H", 48]})  # type: ignore[arg-type]
@@ -297,3 +323,88 @@ def test_rtmlib_is_never_asked_to_download(folder: Path, monkeypatch: pytest.Mon
     people_model(folder / "yolox.onnx", [[0, 0, 640, 480, 0.9]])
     image = np.full((480, 640, 3), 200, dtype=np.uint8)
     assert OnnxDetector(folder).find(image, 0.0)[0].points.shape == (17, 3)
+
+
+@pytest.mark.parametrize("kind", ["RTMPose", "RTMPose3d", "ViTPose"])
+def test_each_kind_of_pose_model_is_recognised_and_run(kind: str, film: Film, folder: Path) -> None:
+    path, uv = film
+    pose_model(folder / "pose.onnx", 17, kind)
+    low, high = uv.min(axis=(0, 1)) - 10, uv.max(axis=(0, 1)) + 10
+    size = np.array([640, 480])
+    person, car = [*(low + high) / 2 / size, *(high - low) / size, 1], [0.2, 0.2, 0.2, 0.2, 3]
+    transformer_model(folder / "people.onnx", [car, person])
+    found = detect_video(path, folder)
+    assert found.uv_px.shape == (10, 1, 17, 2)
+    assert error_px(found.uv_px[:, 0], uv) < 5.0
+
+
+def test_a_solution_of_rtmlib_is_a_detector(film: Film, folder: Path, tmp_path: Path) -> None:
+    path, uv = film
+    low, high = uv.min(axis=(0, 1)) - 10, uv.max(axis=(0, 1)) + 10
+    people_model(tmp_path / "yolox.onnx", [[*low, *high, 0.9]])
+    pose_model(tmp_path / "space.onnx", 17, "RTMPose3d")
+    boxes = {"det": str(tmp_path / "yolox.onnx"), "det_input_size": (480, 640), "pose_input_size": (192, 256)}
+    plane = rtmlib.Custom("YOLOX", pose_class="RTMPose", pose=str(folder / "pose.onnx"), backend="onnxruntime", **boxes)
+    space = rtmlib.Wholebody3d(pose=str(tmp_path / "space.onnx"), **boxes)
+    for solution in (plane, space):
+        detector = RtmlibDetector(solution, 17)
+        assert (detector.name, detector.points) == (f"rtmlib's {type(solution).__name__}", 17)
+        assert error_px(detect_video(path, detector).uv_px[:, 0], uv) < 5.0
+    assert RtmlibDetector(lambda _: ([], []), 17, "nobody").find(np.zeros((4, 4, 3), np.uint8), 0.0) == []
+
+
+def test_a_provider_that_is_missing_or_does_not_start_says_what_to_install(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import onnxruntime
+
+    cases: list[tuple[Provider, str]] = [
+        ("cuda", r"pip install \"onnxruntime-gpu\[cuda,cudnn\]\""),
+        ("coreml", "onnxruntime, on a Mac"),
+        ("openvino", "onnxruntime-openvino"),
+    ]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    for provider, remedy in cases:
+        with pytest.raises(MissingPackageError, match=f"provider {provider}: ONNX Runtime has CPU here; .*{remedy}"):
+            OnnxDetector(folder, provider)
+    named = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: named)
+    load, asked = onnxruntime.InferenceSession, list[list[str]]()
+
+    def session(path: str, providers: list[str]) -> Any:
+        asked.append(providers)
+        print("EP Error, falling back")
+        return load(path, providers=["CPUExecutionProvider"])
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    with pytest.raises(MissingPackageError, match="provider cuda: does not start, its driver or libraries are missing"):
+        OnnxDetector(folder, "cuda")
+    assert asked == [named]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_models_run_in_the_session_of_the_provider(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import onnxruntime
+
+    load, ran = onnxruntime.InferenceSession, list[str]()
+
+    class Session:
+        """A session of ONNX Runtime that says it runs on OpenVINO."""
+
+        def __init__(self, path_or_bytes: str, providers: list[str]):
+            self._own = load(path_or_bytes, providers=providers[-1:])
+            self.get_inputs, self.get_outputs = self._own.get_inputs, self._own.get_outputs
+            self.get_providers, self.name = (lambda: providers), providers[0]
+
+        def run(self, *arguments: Any) -> Any:
+            ran.append(self.name)
+            return self._own.run(*arguments)
+
+    name = "OpenVINOExecutionProvider"
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [name, "CPUExecutionProvider"])
+    monkeypatch.setattr(onnxruntime, "InferenceSession", Session)
+    people_model(folder / "yolox.onnx", [[0, 0, 640, 480, 0.9]])
+    detector = OnnxDetector(folder, "openvino")
+    assert detector.name == "pose.onnx and yolox.onnx on openvino"
+    detector.find(np.full((480, 640, 3), 200, dtype=np.uint8), 0.0)
+    assert ran == [name, name]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import re
+import sys
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -67,6 +69,8 @@ def test_a_video_gives_points_with_its_times(film: tuple[Path, Array], folder: P
     again = read_detector_file(folder / "k.npz")
     for name in ("uv_px", "confidence", "times"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    assert re.fullmatch(r"pose.onnx on cpu, \d[\d.]* frames per second", found.detector)
+    assert again.detector == found.detector
     with pytest.raises(RtofError, match="cannot be written"):
         video.write_detections(folder / "k.npz" / "k.npz", found)
 
@@ -83,12 +87,28 @@ def test_the_command_writes_keypoints_and_their_recording_toml(
     said = capsys.readouterr().out
     assert "10 frames of up to 1 people, 10 frames with at least one" in said
     assert 'layout = "coco17"' in said
-    assert "detector: pose.onnx and yolox.onnx" in said
+    assert "detector: pose.onnx and yolox.onnx on cpu" in said
+    assert re.search(r"detected by pose.onnx and yolox.onnx on cpu, \d[\d.]* frames per second", said)
     assert "load " not in said  # rtmlib prints when it loads a model
     assert read_detector_file(out).uv_px.shape == (10, 1, 17, 2)
     assert main(order) == 2
     assert "is there already" in capsys.readouterr().err
     assert main([*order, "--overwrite"]) == 0
+    assert main([*order, "--overwrite", "--provider", "coreml"]) == (0 if sys.platform == "darwin" else 2)
+
+
+def test_the_rate_is_that_of_the_detector_without_its_first_image(
+    film: tuple[Path, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, steps = [0.0], iter([7.0, *[0.04] * 9])
+
+    class Slow(Nobody):
+        def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
+            clock[0] += next(steps)
+            return super().find(image, time)
+
+    monkeypatch.setattr(video.time, "perf_counter", lambda: clock[0])
+    assert video.detect_video(film[0], Slow()).detector == "nobody, 25 frames per second"
 
 
 class Webcam:
