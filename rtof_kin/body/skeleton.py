@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -117,11 +117,13 @@ class SkeletonModel:
         self._q_index = np.array(index).reshape(-1, 3)
 
     @classmethod
+    @cache
     def default(cls) -> SkeletonModel:
         """Load the 21-joint Total Capture skeleton, ``models/skeleton.urdf``."""
         return cls.from_urdf(model_path("skeleton.urdf"))
 
     @classmethod
+    @cache
     def human36m(cls) -> SkeletonModel:
         """Load the 17-joint Human3.6M skeleton, ``models/human36m.urdf``."""
         return cls.from_urdf(model_path("human36m.urdf"), model_path("human36m.toml"))

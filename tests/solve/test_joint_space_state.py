@@ -182,7 +182,7 @@ def test_force_and_curvature_are_products_with_the_jacobian() -> None:
 
 @pytest.mark.parametrize("low, high", [(0.5, 0.2), (0.3, 0.3), (np.nan, 1.0)])
 def test_limits_that_contradict_each_other_are_refused_by_name(low: float, high: float) -> None:
-    body = SkeletonModel.default()
+    body = SkeletonModel(BODY.table)
     bounds = np.array(body.limits)
     bounds[body.dof_names.index("LeftLeg_y")] = low, high
     vars(body)["limits"] = bounds
