@@ -159,6 +159,7 @@ def test_lost_connection_is_said_and_recovers(source_id: str) -> None:
         return bool(feed.poll(time.monotonic()))
 
     until(back)
+    assert feed.sentences()[-1:] == ([] if source_id else [f"{feed.name}: goes on"])
     feed.close()
     feed.close()
     again.stop()
