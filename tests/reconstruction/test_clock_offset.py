@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +25,11 @@ from rtof_kin.reporting.audit_results import headline
 DEMO = Path(__file__).parents[2] / "models" / "demo"
 
 
-@pytest.fixture(autouse=True)
-def by_velocities_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_calibration, "_UNSHARP", np.inf)
+@pytest.fixture(scope="module", autouse=True)
+def by_velocities_alone() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(self_calibration, "_UNSHARP", np.inf)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -44,16 +47,20 @@ def found(recording: Recording) -> ClockOffset:
     return find_offset([Job.of(recording, None, None, None, None)])
 
 
-def test_right_clocks_are_not_named_and_a_detectors_delay_leaves_the_sensors(demo: Recording) -> None:
-    right = found(demo.between(5.0, 13.0))
+@pytest.fixture(scope="module")
+def right(demo: Recording) -> ClockOffset:
+    return found(demo.between(5.0, 13.0))
+
+
+def test_right_clocks_are_not_named_and_a_detectors_delay_leaves_the_sensors(right: ClockOffset) -> None:
     assert right.warnings == ()
     assert not right.foreign
     assert right.applied.sensors_late == 0.0
 
 
 @pytest.mark.parametrize("seconds", [-0.1, 0.4])
-def test_sensors_on_a_wrong_clock_are_corrected_and_named(demo: Recording, seconds: float) -> None:
-    right, wrong = (found(late(demo.between(5.0, 13.0), s)) for s in (0.0, seconds))
+def test_sensors_on_a_wrong_clock_are_corrected_and_named(demo: Recording, right: ClockOffset, seconds: float) -> None:
+    wrong = found(late(demo.between(5.0, 13.0), seconds))
     assert wrong.delay.value[0] == pytest.approx(right.delay.value[0] - seconds, abs=0.015)
     assert wrong.applied.sensors_late == pytest.approx(seconds, abs=0.04)  # the detector's delay
     assert ("late" if seconds > 0 else "early") in wrong.warnings[0]
@@ -78,30 +85,32 @@ def test_sensors_of_another_take_are_left_out_and_lead_the_first_line(demo: Reco
     assert "the sensors do not belong to this video" in headline(audit(result)).text
 
 
-def test_where_velocities_are_unsharp_the_energy_decides(demo: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_velocities_are_unsharp_the_energy_decides(
+    demo: Recording, right: ClockOffset, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def calibrated(jobs: list[Job], priors: CalibrationPriors, known: None) -> SelfCalibration:
         assert (len(jobs), known, priors.sigma_swing) == (1, None, None)
         return SelfCalibration((Quantity("delay", "video", *np.array([[0.003], [0.004], [0.02]]), 0.96),))
 
-    before = found(demo.between(5.0, 13.0)).delay
     monkeypatch.setattr(self_calibration, "_UNSHARP", 0.0)
     monkeypatch.setattr(self_calibration, "calibrated", calibrated)
     after = found(demo.between(5.0, 13.0)).delay
-    assert after.value[0] == pytest.approx(before.value[0] + 0.003)
+    assert after.value[0] == pytest.approx(right.delay.value[0] + 0.003)
     assert after.sigma[0] == pytest.approx(0.004)
 
 
-@pytest.mark.parametrize("note", [f"{note}: 3 of them" for note in (DAYS_APART, CLOCK_DOUBT, NEVER_STILL)])
-def test_what_the_setup_noted_is_said_again(demo: Recording, note: str) -> None:
-    assert found(replace(demo.between(5.0, 9.0), notes=f"found: x\ndoubtful: {note}")).warnings[0] == note
+def test_what_the_setup_noted_is_said_again(demo: Recording) -> None:
+    noted = tuple(f"{note}: 3 of them" for note in (DAYS_APART, CLOCK_DOUBT, NEVER_STILL))
+    lines = "\n".join(["found: x", *(f"doubtful: {note}" for note in noted)])
+    assert found(replace(demo.between(5.0, 9.0), notes=lines)).warnings[:3] == noted
 
 
-def test_the_uncertainty_of_the_clocks_widens_what_moves(demo: Recording) -> None:
-    clocks, poses = found(demo.between(5.0, 9.0)), demo.truth
-    (apart,) = clocks.apart(poses[300:400])
+def test_the_uncertainty_of_the_clocks_widens_what_moves(demo: Recording, right: ClockOffset) -> None:
+    poses = demo.truth
+    (apart,) = right.apart(poses[300:400])
     moved = np.linalg.norm(apart.p_world_joint[:90] - poses.p_world_joint[300:390], axis=-1)
     speed = np.linalg.norm(np.gradient(poses.p_world_joint[300:400], poses.times[300:400], axis=0), axis=-1)
-    expected = speed[:90] * clocks.delay.sigma[0]
+    expected = speed[:90] * right.delay.sigma[0]
     assert np.median(moved) == pytest.approx(np.median(expected), rel=0.3)
 
 
