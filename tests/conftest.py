@@ -1,8 +1,9 @@
-"""Fixtures of many tests: shipped skeletons, a motion, a camera; one cache of compiled code for all tests."""
+"""Fixtures of many tests: shipped skeletons, a motion, a camera; energies are interpreted but where a test compiles."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,7 +14,7 @@ from hypothesis import settings
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 
-CACHE = "RTOF_KIN_CACHE"
+CACHE, COMPILE = "RTOF_KIN_CACHE", "RTOF_KIN_COMPILE"
 
 # One commit has one verdict: examples follow from the test. New ones: pytest --hypothesis-profile=default.
 settings.register_profile("same", derandomize=True)
@@ -21,7 +22,12 @@ settings.load_profile("same")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """All processes of the session share one cache of compiled code, empty at its start."""
+    """All processes of the session share one cache of compiled code, empty at its start.
+
+    Compiling an energy takes longer than most tests that use it; `compiled` and `compile_cache` turn it on.
+    """
+    os.environ.setdefault(COMPILE, "never")
+    config.option.loadscopereorder = False  # else files of few tests, some of which are long, come last
     if not hasattr(config, "workerinput") and CACHE not in os.environ:
         folder = TemporaryDirectory(prefix="rtof_kin_tests_")
         config.add_cleanup(folder.cleanup)
@@ -52,10 +58,17 @@ def camera() -> Camera:
     return planted.camera()
 
 
+@pytest.fixture(scope="module")
+def compiled() -> Iterator[None]:
+    """Compilation turned on for the tests of a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(COMPILE, raising=False)
+        yield
+
+
 @pytest.fixture
-def compile_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def compile_cache(compiled: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache of compiled functions, not created yet; compilation is turned on."""
     folder = tmp_path / "cache"
     monkeypatch.setenv(CACHE, str(folder))
-    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
     return folder
