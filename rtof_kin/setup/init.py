@@ -110,8 +110,7 @@ def find_people(
 
     found = _detections(sources, video, detect)
     known = recognise(found.uv_px, found.confidence, found.names)
-    order = list(known.order)
-    found = replace(found, uv_px=found.uv_px[:, :, order], confidence=found.confidence[:, :, order], names=None)
+    found = found.of_points(known.order)
     assert found.times is not None
     people = number_people(found, found.times, video.size_px)
     shown = sources.video if settings.keep_video else None

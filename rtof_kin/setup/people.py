@@ -66,10 +66,17 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     if points.max() < _FEWEST_POINTS:
         raise no_person()
     kept = [(track, weight) for track, weight in tracks if weight >= _LEAST_WEIGHT * tracks[0][1]]
-    uv, confidence = zip(*(track.of(detections) for track, _ in kept), strict=True)
+    uv, confidence, in_space = zip(
+        *((*track.of(detections), track.in_space(detections)) for track, _ in kept), strict=True
+    )
     numbers = np.broadcast_to(np.arange(len(kept)), (len(times), len(kept)))
     own = replace(
-        detections, uv_px=np.stack(uv, axis=1), confidence=np.stack(confidence, axis=1), times=times, identity=numbers
+        detections,
+        uv_px=np.stack(uv, axis=1),
+        confidence=np.stack(confidence, axis=1),
+        times=times,
+        identity=numbers,
+        p_model=None if detections.p_model is None else np.stack(in_space, axis=1),
     )
     weights = tuple(weight / kept[0][1] for _, weight in kept)
     return People(own, times, weights)

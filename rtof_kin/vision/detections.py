@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ class Person:
 
     points: Array  #: (K, 3) x, y, confidence
     identity: int = NO_IDENTITY  #: Number given by a tracker, -1 without one
+    p_model: Array | None = None  #: (K, 3) m the points in space about the hips, where the detector gives them
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class Detections:
     names: tuple[str, ...] | None = None  #: K names of the points in the file, if it has them
     identity: Ints | None = None  #: (T, P) numbers given by a tracker, -1 where there is none; None without a tracker
     detector: str = ""  #: What found them and how fast, if the file says it
+    p_model: Array | None = None
+    """(T, P, K, 3) m the points in space about the hips, which `vision.lift_points` reads; NaN where missing."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -78,6 +81,8 @@ class Detections:
         if self.identity is not None:
             identity = readonly("detections identity", self.identity, uv.shape[:2], np.int64)
             set_(self, "identity", identity)
+        if self.p_model is not None:
+            set_(self, "p_model", readonly("detections p_model", self.p_model, (*uv.shape[:3], 3)))
 
     @classmethod
     def of_frames(
@@ -103,20 +108,31 @@ class Detections:
         if P > _MOST_PEOPLE or T * P * K > _MOST_NUMBERS:
             raise InvalidInputError(f"{T} frames of up to {P} people with {K} points are too much; split the recording")
         points, identity = np.zeros((T, P, K, 3)), np.full((T, P), NO_IDENTITY)
+        p_model = np.full((T, P, K, 3), np.nan)
         for number, people in frames.items():
             for p, person in enumerate(people):
                 points[number, p], identity[number, p] = person.points, person.identity
-        tracked = np.any(identity != NO_IDENTITY)
-        return cls(points[..., :2], points[..., 2], times, names, identity if tracked else None)
+                if person.p_model is not None:
+                    p_model[number, p] = person.p_model
+        tracked, in_space = np.any(identity != NO_IDENTITY), np.isfinite(p_model).any()
+        found = cls(points[..., :2], points[..., 2], times, names, identity if tracked else None)
+        return replace(found, p_model=p_model) if in_space else found
 
     def __len__(self) -> int:
         return len(self.uv_px)
 
+    def of_points(self, order: Sequence[int]) -> Self:
+        """Return some of the points in another order, without names."""
+        p = None if self.p_model is None else self.p_model[:, :, order]
+        uv, confidence = self.uv_px[:, :, order], self.confidence[:, :, order]
+        return replace(self, uv_px=uv, confidence=confidence, names=None, p_model=p)
+
     @property
-    def about(self) -> dict[str, NDArray[np.uint8]]:
-        """Array `detector` of a file: text in UTF-8; none where it is not known."""
+    def about(self) -> dict[str, NDArray[Any]]:
+        """Arrays of a file, where they are known: `detector`, text in UTF-8, and `p_model`."""
         text = self.detector.encode()
-        return {"detector": np.frombuffer(text, np.uint8)} if text else {}
+        in_space = {} if self.p_model is None else {"p_model": self.p_model}
+        return in_space | ({"detector": np.frombuffer(text, np.uint8)} if text else {})
 
     @property
     def present(self) -> Mask:
@@ -145,8 +161,7 @@ def of_body(found: Detections) -> Detections:
     K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
     if K is None:
         return found
-    names = None if found.names is None else found.names[:K]
-    return replace(found, uv_px=found.uv_px[:, :, :K], confidence=found.confidence[:, :, :K], names=names)
+    return replace(found.of_points(range(K)), names=None if found.names is None else found.names[:K])
 
 
 _ROWS: Final = {

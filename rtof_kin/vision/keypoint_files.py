@@ -13,7 +13,8 @@ CSV                         a header of ``<point>_x``, ``<point>_y``, - ``<point
 CSV, a row for each point   ``frame``, ``point_id``, ``x``, ``y``, - ``visibility``, - ``time``; Caliscope's
 TRC in pixels               Sports2D's ``*_px_*.trc``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
-                            - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P), - ``detector``
+                            - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P), - ``detector``,
+                            - ``p_model`` (T, P, K, 3) points in space about the hips, m
 NPY                         one array like that
 XDF                         one stream of channels ``<point>_x``, ``<point>_y``, - ``<point>_confidence``, px
 ==========================  ====================================================================
@@ -112,7 +113,10 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
         identity = np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64)
     if points.ndim == 3:
         uv, confidence = uv[:, None], confidence[:, None]
-    return Detections(uv, confidence, times, identity=identity)
+    p_model = arrays.get("p_model")
+    if p_model is not None and p_model.shape != (*uv.shape[:3], 3):
+        raise FileFormatError(path, f"p_model: expected shape {(*uv.shape[:3], 3)}, got {p_model.shape}")
+    return Detections(uv, confidence, times, identity=identity, p_model=p_model)
 
 
 def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Array | None:

@@ -244,7 +244,9 @@ class MediaPipeDetector:
             found = self._landmarker.detect_for_video(picture, self._stamp_ms)
         self._started |= bool(found.pose_landmarks)
         height, width = image.shape[:2]
-        return _without_doubles([Person(_points(each, width, height)) for each in found.pose_landmarks])
+        in_space = (np.array([[p.x, p.y, p.z] for p in each]) for each in found.pose_world_landmarks)
+        pairs = zip(found.pose_landmarks, in_space, strict=True)
+        return _without_doubles([Person(_points(each, width, height), p_model=p) for each, p in pairs])
 
     def close(self) -> None:
         """Release the model."""

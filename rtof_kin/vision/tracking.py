@@ -49,6 +49,13 @@ class PersonTrack:
         uv = np.where(self.lost[:, None, None], np.nan, detections.uv_px[frames, index])
         return uv, np.where(self.lost[:, None], 0.0, detections.confidence[frames, index])
 
+    def in_space(self, detections: Detections) -> Array | None:
+        """Return the person's points in space (T, K, 3), m, NaN where lost; None where the detector gave none."""
+        if detections.p_model is None:
+            return None
+        p = detections.p_model[np.arange(len(self.person)), np.maximum(self.person, 0)]
+        return np.where(self.lost[:, None, None], np.nan, p)
+
 
 class _Measures:
     """Centre (T, P, 2), size (T, P) and identity of every person in every frame."""

@@ -168,7 +168,7 @@ def _name(source: str | Path | int) -> str | Path:
 
 
 def write_detections(path: str | Path, detections: Detections, overwrite: bool = False) -> None:
-    """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads; errors as
+    """Write uv_px, confidence, times and points in space as an .npz file that `read_detector_file` reads; errors as
     `core.files.folder.new_file`.
     """
     arrays: dict[str, NDArray[Any]] = {**detections.about, "uv_px": detections.uv_px}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from matplotlib.image import imread
 from setup_support import LAYOUT, beside, pair, people_in, walker, write_keypoints
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.setup.people import choose_person, read_people, write_frames_picture, write_people
+from rtof_kin.setup.people import choose_person, number_people, read_people, write_frames_picture, write_people
+from rtof_kin.vision.keypoint_files import read_detector_file
 
 
 def test_the_largest_person_in_the_middle_is_number_one_in_every_frame(tmp_path: Path) -> None:
@@ -30,6 +32,20 @@ def test_the_numbers_survive_writing_and_crossing_people(tmp_path: Path) -> None
     np.testing.assert_array_equal(again.detections.uv_px, people.detections.uv_px)
     np.testing.assert_array_equal(again.detections.identity, people.detections.identity)
     assert again.weights == people.weights
+
+
+def test_points_in_space_stay_with_their_person(tmp_path: Path) -> None:
+    uv = walker()
+    both = read_detector_file(write_keypoints(tmp_path / "two.npz", uv, beside(uv, 0.8, (700.0, 100.0))))
+    of_column = np.arange(2.0)
+    of_column = np.where(np.arange(len(uv))[:, None] % 2, of_column[::-1], of_column)  # the order of the file changes
+    p_model = np.broadcast_to(of_column[..., None, None], (*both.confidence.shape, 3))
+    people = number_people(replace(both, p_model=p_model), np.arange(len(uv)) / 30, (1920, 1080))
+    write_people(tmp_path / "keypoints.npz", people)
+    again = read_people(tmp_path / "keypoints.npz").detections.p_model
+    assert again is not None
+    np.testing.assert_array_equal(np.nanmin(again, axis=(0, 2, 3)), [0, 1])
+    np.testing.assert_array_equal(np.nanmax(again, axis=(0, 2, 3)), [0, 1])
 
 
 def test_a_passer_by_is_neither_numbered_nor_asked_about(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.formats.markers import MarkerSequence, write_trc
+from rtof_kin.vision.detections import Detections, Person
+from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.lift_points import (
     LiftPoints,
     convention,
@@ -20,6 +22,7 @@ from rtof_kin.vision.lift_points import (
     recognised,
     split_convention,
 )
+from rtof_kin.vision.video import write_detections
 
 TIMES = np.arange(5) / 30
 
@@ -157,6 +160,20 @@ def test_files_of_every_kind_are_read(tmp_path: Path) -> None:
             read_lift_points(tmp_path / f"bad.{name}")
     with pytest.raises(FileFormatError, match=r"a\.mp4: no 3D points; known: \.trc, "):
         read_lift_points(tmp_path / "a.mp4")
+
+
+def test_points_in_space_of_the_own_detection_are_read_from_its_file(tmp_path: Path) -> None:
+    p, seen = planted(33), np.full((33, 3), 0.5) * [100, 100, 1]
+    people = {k: [Person(seen, p_model=p[k])] for k in range(len(TIMES)) if k != 2}
+    write_detections(tmp_path / "keypoints.npz", Detections.of_frames(people, TIMES))
+    np.testing.assert_array_equal(read_detector_file(tmp_path / "keypoints.npz").p_model[[0, 4], 0], p[[0, 4]])
+    found = read_lift_points(tmp_path / "keypoints.npz").points
+    assert (found.names[23], np.isnan(found.p_world[2]).all()) == ("left_hip", True)
+    np.testing.assert_array_equal(found.p_world[3], p[3])
+    two = {k: [Person(seen, p_model=p[k])] * 2 for k in range(len(TIMES))}
+    write_detections(tmp_path / "keypoints.npz", Detections.of_frames(two, TIMES), overwrite=True)
+    with pytest.raises(FileFormatError, match=r"shape \(5, 2, 33, 3\); give those of one person"):
+        read_lift_points(tmp_path / "keypoints.npz")
 
 
 def test_an_unknown_convention_is_named_with_those_known() -> None:

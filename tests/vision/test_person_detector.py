@@ -146,11 +146,13 @@ class Landmarker:
         self.stamps.append(stamp_ms)
         red = picture.data[..., 0]
         if not red.any():
-            return SimpleNamespace(pose_landmarks=[])
+            return SimpleNamespace(pose_landmarks=[], pose_world_landmarks=[])
         v, u = np.unravel_index(red.argmax(), red.shape)
         at = SimpleNamespace(x=u / red.shape[1], y=v / red.shape[0], visibility=0.9)
         foot = SimpleNamespace(x=at.x, y=1.2, visibility=0.8)
-        return SimpleNamespace(pose_landmarks=[[at, foot], *self.more])
+        people = [[at, foot], *self.more]
+        in_space = [[SimpleNamespace(x=p.x, y=0.1 * k, z=-0.2) for p in points] for k, points in enumerate(people)]
+        return SimpleNamespace(pose_landmarks=people, pose_world_landmarks=in_space)
 
     def close(self) -> None:
         self.closed = True
@@ -190,6 +192,7 @@ def test_points_are_pixels_of_a_colour_image(package: Path) -> None:
     image[60, 20] = [255, 0, 0]
     (person,) = detector.find(image, 0.04)
     np.testing.assert_allclose(person.points, [[150, 30, 0.9], [150, 120, 0.0]])  # the foot is not seen
+    np.testing.assert_allclose(person.p_model, [[0.75, 0.0, -0.2], [0.75, 0.0, -0.2]])
     (made,) = Landmarker.made
     assert made.options.base_options.buffer == b"bundle"
     assert (made.options.running_mode, made.options.num_poses) == ("video", 4)
@@ -207,6 +210,8 @@ def test_two_findings_of_one_person_are_one(package: Path) -> None:
     made.more = [points]
     (person,) = detector.find(image, 0.0)
     np.testing.assert_allclose(person.points, [[150, 40, 1], [150, 95, 1]])  # the surer one
+    assert person.p_model is not None
+    assert person.p_model[0, 1] == 0.1
     made.more = [[SimpleNamespace(x=p.x - 0.25, y=p.y, visibility=1.0) for p in points], points]
     assert len(detector.find(image, 0.1)) == 2
 
