@@ -25,6 +25,7 @@ from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import imu_stream
 from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
 from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
+from rtof_kin.vision.lift_points import LiftPoints, read_lift_points, split_convention
 
 INDEX: Final = "recording.toml"
 UNFINISHED: Final = PurePath("live", "setup")  #: Folder that a live session makes first
@@ -80,6 +81,14 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         keypoints, note = filmed_stream(index.camera, index.keypoints, table, source)
         notes = "\n".join(filter(None, (notes, note)))
     views = tuple(filmed_stream(view.camera, view.keypoints, table, source)[0] for view in index.views)
+    lifts = tuple[LiftPoints, ...]()
+    if index.lift is not None and keypoints is not None and index.keypoints is not None:
+        files = [split_convention(name) for name in index.lift.files]
+        video_times = keypoints.times - index.keypoints.start_s
+        lifts = tuple(
+            read_lift_points(data_path(index.lift, field="files", name=str(file)), convention, video_times)
+            for file, convention in files
+        )
     body = body_of(**facts)
     if index.imus is not None:
         if index.imus.file is None and keypoints is None:
@@ -105,6 +114,7 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         "session": session,
         "calibration": calibration,
         "posture": posture,
+        "lifts": lifts,
     }
     return facts | own, Streams(keypoints, views, imus, truth)
 

@@ -9,7 +9,7 @@ import hashlib
 import json
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -34,12 +34,14 @@ from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
+from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, calibration_table, imu_arrays
 from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming
 from rtof_kin.vision.layouts import is_detector_point
+from rtof_kin.vision.lift_points import LiftPoints
 
 _TRUTH: Final = "truth.npz"
 _LABELS: Final = ("name", "session", "notes")  #: Fields and tables of ``recording.toml`` that nothing is computed from
@@ -130,6 +132,8 @@ class RecordingSource(ABC):
         for number, view in enumerate((streams.keypoints, *streams.views)):
             lines += _of_stream(f"keypoints {number}", view, keypoint_file_arrays)
         lines += _of_stream("imus", streams.imus, imu_arrays)
+        for number, other in enumerate(self.facts.lifts):
+            lines += _of_stream(f"lift {number}", Stream.of(other.points), _lift_arrays)
         lines += _of_stream("truth", streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH})
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -171,6 +175,8 @@ class Recording(RecordingSource):
     views: tuple[KeypointSequence, ...] = ()
     """Further cameras of the same person on the same clock, at times of their own; the first camera is that
     of `keypoints`."""
+    lifts: tuple[LiftPoints, ...] = ()
+    """3D points that other models see in the video of the first camera; without one they mean nothing."""
     is_part: bool = False  #: Whether it was cut from a longer recording, on which the clocks were checked
 
     def __post_init__(self) -> None:
@@ -325,6 +331,8 @@ class Recording(RecordingSource):
         arrays = {keypoint_file(i): keypoint_file_arrays(one) for i, one in enumerate(seen)}
         if self.imus is not None:
             arrays[IMUS] = imu_arrays(self.imus)
+        for name, other in zip(_lift_files(self.lifts), self.lifts, strict=True) if seen else ():
+            arrays[name] = _lift_arrays(other.points)
         if self.truth is not None:
             arrays[_TRUTH] = {name: getattr(self.truth, name) for name in TRUTH}
         return arrays
@@ -359,12 +367,24 @@ class Recording(RecordingSource):
             index["imus"] = {"sensors": calibration_table(self.calibration) if self.calibration else {}}
         if self.imus is not None:
             index["imus"] |= {"file": IMUS, "names": list(self.imus.names)}
+        if self.lifts and self.keypoints is not None:
+            own = zip(_lift_files(self.lifts), self.lifts, strict=True)
+            index["lift"] = {"files": [f"{file}:{one.convention}".rstrip(":") for file, one in own]}
         if self.posture is not None:
             pairs = zip(self.posture.joints, self.posture.quat_wxyz.tolist(), strict=True)
             index["posture"] = {"quat_wxyz": dict(pairs)}
         if self.truth is not None:
             index["truth"] = {"file": _TRUTH}
         return index
+
+
+def _lift_files(lifts: Sequence[LiftPoints]) -> list[str]:
+    """Return the names of the files that the points of other models are saved in."""
+    return [f"lift_{number}.npz" for number in range(1, len(lifts) + 1)]
+
+
+def _lift_arrays(points: MarkerSequence) -> dict[str, Any]:
+    return {"times": points.times, "names": np.array(points.names), "p_world": points.p_world}
 
 
 def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:

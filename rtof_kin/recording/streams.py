@@ -21,9 +21,10 @@ from rtof_kin.core.files.input_table import InputTable
 from rtof_kin.data.imu import ImuSequence, UnitCheck
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
 
-Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
+Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence, MarkerSequence)
 ALL: Final = slice(None)
 BLOCK: Final = 2048  #: Rows that are checked at once
 
@@ -191,9 +192,11 @@ def naming(path: Path) -> Iterator[None]:
         raise FileFormatError(path, str(error)) from error
 
 
-def data_path(table: InputTable, or_folder: bool = False, field: str = "file") -> Path:
-    """Return the file (or folder) inside the recording's folder that a field of a table names."""
-    name = str(getattr(table, field))
+def data_path(table: InputTable, or_folder: bool = False, field: str = "file", name: str | None = None) -> Path:
+    """Return the file (or folder) inside the recording's folder that a field of a table names, one of several by its
+    name.
+    """
+    name = str(getattr(table, field)) if name is None else name
     path = path_inside(table.path.parent, name)
     if path is None:
         raise table.error(field, f"{name!r} leads out of the folder; name a file inside it")

@@ -366,6 +366,14 @@ class TruthTable(InputTable):
     """An .npz inside the folder."""
 
 
+class LiftTable(InputTable):
+    """3D points that other models see in the video of the first camera."""
+
+    files: Annotated[Names, Field(examples=[["points.trc", "joints.npz:smpl24"]])]
+    """Each a .trc, .c3d, .npz, .json or .csv inside the folder (lift.md), at times of the video's own clock; after a
+    colon the convention of its joints, where their names or number do not say it."""
+
+
 class NotesTable(InputTable):
     """Free text."""
 
@@ -397,6 +405,7 @@ class RecordingTable(InputTable):
     views: Annotated[tuple[ViewTable, ...], Strict(False)] = ()
     """Further cameras of the same take."""
     imus: ImusTable | None = None
+    lift: LiftTable | None = None
     posture: PostureTable | None = None
     truth: TruthTable | None = None
     notes: NotesTable = NotesTable()
@@ -411,4 +420,5 @@ class RecordingTable(InputTable):
             absent=("camera", "keypoints", "views"),
             required=("imus",),
         ),
+        Rule("is missing; other models see the person of a camera", given=("lift",), required=("camera",)),
     )

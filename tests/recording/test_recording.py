@@ -29,12 +29,15 @@ from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.index import INDEX, Session
 from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.recording.streams import BLOCK
+from rtof_kin.vision.lift_points import LiftPoints, convention
 
 SKELETON = SkeletonModel.default()
 T, S = 12, 2
+LIFTS = ("lift_1.npz", "lift_2.npz")
 BY_HAND = """
     schema_version = 1
     name = "by hand"
@@ -98,6 +101,14 @@ def write(
     return folder
 
 
+def lifted() -> MarkerSequence:
+    """Points of another model, one of them missing."""
+    form = convention("smpl24")
+    p = np.random.default_rng(5).normal(size=(7, len(form.layout), 3))
+    p[2, 3] = np.nan
+    return MarkerSequence(np.arange(7) / 30, form.layout.names, p)
+
+
 def full_recording() -> Recording:
     """A recording with every field set and something missing in every array."""
     moving = planted.moving(SKELETON.with_height(1.65), T)
@@ -130,6 +141,7 @@ def full_recording() -> Recording:
         truth=replace(base.truth, valid=np.random.default_rng(4).random((T, 21)) > 0.2),
         first_frame=17,
         floor_height=-0.02,
+        lifts=(LiftPoints("lift_1.npz", lifted()), LiftPoints("lift_2.npz", lifted(), "smpl24")),
         posture=NeutralPosture(("Spine2", "LeftShoulder"), np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])),
         acknowledgement="Thanks\nto all.",
         notes="α = 3",
@@ -142,15 +154,16 @@ def full_recording() -> Recording:
 @pytest.mark.parametrize(
     ("without", "names"),
     [
-        ((), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
-        (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", INDEX]),
-        (("keypoints",), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
-        (("imus",), [MANIFEST, "keypoints.npz", INDEX, "truth.npz"]),
-        (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
+        ((), [MANIFEST, "imus.npz", "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
+        (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", *LIFTS, INDEX]),
+        (("keypoints", "lifts"), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
+        (("imus",), [MANIFEST, "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
+        (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
     ],
 )
 def test_save_and_load_are_exact(tmp_path: Path, without: tuple[str, ...], names: list[str]) -> None:
-    recording = replace(full_recording(), **dict.fromkeys(without))  # type: ignore[arg-type]
+    lacking = {name: () if name == "lifts" else None for name in without}
+    recording = replace(full_recording(), **lacking)  # type: ignore[arg-type]
     recording.save(tmp_path / "take")
     assert_same(Recording.load(tmp_path / "take"), recording)
     assert sorted(p.name for p in (tmp_path / "take").iterdir()) == names
@@ -220,6 +233,19 @@ def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
     assert recording.skeleton.bone_lengths["LeftLeg"] == pytest.approx(0.41)
     assert recording.bone_imus() is not None
     assert recording.truth is not None
+
+
+def test_points_of_other_models_are_read_at_the_times_of_the_video(tmp_path: Path) -> None:
+    joints = np.random.default_rng(3).normal(size=(T, 17, 3))
+    np.savez(tmp_path / "joints.npz", joints=joints)
+    lift = '[lift]\nfiles = ["joints.npz:coco17"]\n[notes]'
+    first, *others = Recording.load(write(tmp_path, "[notes]", lift)).lifts
+    assert (first.name, first.convention, others) == ("joints.npz", "coco17", [])
+    np.testing.assert_allclose(first.points.times, np.arange(T) / 60)  # the keypoints start at 0.5 s
+    np.testing.assert_array_equal(first.points.p_world, joints)
+    np.savez(tmp_path / "joints.npz", joints=joints[:-1])
+    with pytest.raises(FileFormatError, match=r"joints\.npz: has no times, and 11 frames where the video has 12"):
+        Recording.load(tmp_path)
 
 
 def test_points_without_a_name_are_left_out_and_times_are_shifted(tmp_path: Path) -> None:
@@ -378,6 +404,9 @@ LAYOUT = 'layout = "joints"'
         ('sex = "male"', 'sex = "m"', "'m' is not one of female, male"),
         ("keypoints.npz", "points.npz", r"there is no file .*points\.npz"),
         ("keypoints.npz", "../keypoints.npz", "leads out of the folder"),
+        ("[notes]", '[lift]\nfiles = ["a.trc"]\n[notes]', r"\[lift\] files: there is no file .*a\.trc"),
+        ("[notes]", '[lift]\nfiles = ["../a.trc"]\n[notes]', r"\[lift\] files: '../a\.trc' leads out of the folder"),
+        ("[notes]", "[lift]\n[notes]", r"\[lift\] files: missing; add it: Each a \.trc"),
         ("rate_hz = 60.0\n", "", r"\[keypoints\] rate_hz: missing, and .* no times"),
         (LAYOUT, "", "landmarks: missing; list the names"),
         (LAYOUT, 'layout = "coco"', "'coco' is not one of joints, auto, .*Did you mean 'coco"),
@@ -564,7 +593,7 @@ def demo() -> Recording:
         f_sensor=np.concatenate([imus.f_sensor] * 2),
     )
     assert len(twice.times) > BLOCK
-    return replace(DEMO, imus=twice, views=(DEMO.video[150:400:2],))
+    return replace(DEMO, imus=twice, views=(DEMO.video[150:400:2],), lifts=(LiftPoints("a.trc", lifted()),))
 
 
 def test_digest_is_that_of_the_saved_and_of_the_streamed_recording(tmp_path: Path) -> None:
@@ -607,6 +636,9 @@ def _other_sample(recording: Recording) -> dict[str, Any]:
         lambda _: {"floor_height": 0.0},
         lambda _: {"views": ()},
         lambda _: {"truth": None},
+        lambda _: {"lifts": ()},
+        lambda r: {"lifts": (replace(r.lifts[0], convention="smpl24"),)},
+        lambda r: {"lifts": (LiftPoints("", replace(lifted(), p_world=lifted().p_world + 1e-9)),)},
         lambda r: {"calibration": replace(r.calibration, p_bone_sensor=r.calibration.p_bone_sensor + 1e-9)},
     ],
 )
