@@ -182,7 +182,7 @@ def _calibrate(
     if calibrated is not None:
         check_replaceable(calibrated, INDEX, overwrite)
     check_new_file(output, overwrite)
-    recording = Recording.load(folder)
+    recording = task.with_lifts(Recording.load(folder)).whole()
     with progress() as update:
         found = calibrate_recording(recording, lifter=task.lifter(), settings=settings, progress=update)
     doubts = (AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found))

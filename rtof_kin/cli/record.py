@@ -180,6 +180,8 @@ def _print_run(done: Run, seconds: float) -> None:
     found = [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_, said in rows if said == "found"]
     for number, sentence in enumerate(found):
         line("" if number else "camera", sentence)
+    for found_of_lift in done.summary.inputs.get("found_of_lifts") or ():
+        line("lift", found_of_lift)
     mode = done.summary.mode
     line("accuracy", accuracy(None, done.summary.mean_sigmas, mode))
     line("caution", headline(done.summary.results or ()).line)

@@ -174,6 +174,9 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
     for name, text in lines.items():
         style = STYLES.get(headline.grade.value, "") if name == "caution" else ""
         line(name, text, style)
+        if name == "recording":
+            for other in first.lifts:
+                line("lift", str(other))
 
 
 def _duration(seconds: float) -> str:

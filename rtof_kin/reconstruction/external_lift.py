@@ -1,4 +1,4 @@
-"""The 3D points of another model as a second lift: brought to the package's own, and weighed against it.
+"""The 3D points of another model as a further lift: brought to the package's own, and weighed against it.
 
 A model's points come on axes of its own, at a scale of its own, on a clock near the video's, and around the hips or
 anywhere. So rotation, scale and delay are found, once for a recording: the delay by the own lift (similarity of Umeyama
@@ -14,16 +14,19 @@ that are correlated by rho, as both see one image,
 
     E d^2 = e^2 - 2 rho s e + s^2
 
-gives that of the other lift, e, for each joint. The two are combined as the lifts of two cameras are (`lift.fused`).
+gives that of the other lift, e, for each joint; it is not less than what is usual of the model, than the sensor of the
+segment says, or than a share of s, as d is small too where both err alike. With the correlation that d, s and e show,
+the weight of the other lift in the best mean of both is (1 + (s^2 - e^2) / d^2) / 2, within bounds. All lifts are
+combined as those of several cameras are (`lift.fused`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -34,22 +37,14 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.arrays import read_csv
-from rtof_kin.core.files.text import load_json
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.formats.world_axes import METRES, UP
 from rtof_kin.markers.marker_sets import places_of
-from rtof_kin.markers.trials import read_trial
-from rtof_kin.reconstruction.lift import JOINT, Lifted, LifterLike, fused, lift, shipped_lifter
-from rtof_kin.vision.layouts import detector_table
-from rtof_kin.vision.layouts import own as own_point
-
-if TYPE_CHECKING:
-    from lifting.predict import LiftedPoses
+from rtof_kin.reconstruction.lift import JOINT, Lifted
+from rtof_kin.vision.lift_points import LiftPoints, convention, recognised, usual_errors
 
 _DELAYS: Final = np.arange(-12, 13) * 0.04  #: [s] by which the clock may differ from the video's
 _SAMPLE: Final = 400  #: Frames by which rotation and delay are found
@@ -61,115 +56,69 @@ _FOREIGN: Final = 2.5  #: Differences from the own lift, relative to its standar
 _FEWEST: Final = 8  #: Fewest joints that its points show
 _LONGEST_GAP: Final = 0.2  #: [s] between samples that are interpolated
 _UNKNOWN: Final = 1e3  #: [m], [rad] of what it does not show
+_UNIT: Final = 0.25  #: Largest logarithm of the scale relative to a unit's
+_BEST: Final = 0.7  #: Least error of the other lift along the ray, relative to the own one's
+_SHARES: Final = (0.01, 0.7)  #: Least and largest weight of the other lift along the ray
+_BETTER: Final = 0.8  #: Distance, relative to that of the points as they are, below which mirrored ones are right
 
 
 @dataclass(frozen=True)
 class Agreement:
     """How the points of another model agree with the own lift."""
 
+    name: str  #: Of the file
+    title: str  #: Of their convention
     scale: float  #: Metres of the body in a unit of the file
     delay: float  #: [s] by which the points are late
     R_world_file: Array  #: (3, 3)
-    difference: float  #: [1] RMS difference of the joints, relative to the own lift's standard deviations
+    sigma: tuple[float, float]  #: [m] RMS standard deviations of the joints that it shows, and of the own lift's, in 3D
     doubt: str = ""  #: Why it is not used; '' where it is
 
-    def __str__(self) -> str:
-        late = f"{abs(1000 * self.delay):.0f} ms {'late' if self.delay > 0 else 'early'}"
-        return f"scale {self.scale:.3g}, {late}, {self.difference:.1f} standard deviations from the own lift"
-
-
-def read_points(path: str | Path) -> MarkerSequence:
-    """Read the 3D points of another model, on any axes and scale.
-
-    Args:
-        path: ``.trc``, ``.c3d``; ``.npz`` with times (T,) s, names (K,) and p_world (T, K, 3); ``.json`` with times,
-            names and points (T, K, 3; null where missing); ``.csv`` with the columns time and NAME_x, NAME_y, NAME_z.
-
-    Raises:
-        FileFormatError: missing, damaged, or another kind of file.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in (".json", ".csv"):
-        return read_trial(path)
-    try:
-        if path.suffix.lower() == ".json":
-            found = load_json(path)
-            values = [[[np.nan] * 3 if p is None else p for p in frame] for frame in found["points"]]
-            return MarkerSequence(np.array(found["times"], float), tuple(found["names"]), np.array(values, float))
-        columns = read_csv(path)
-        names = [column[:-2] for column in columns if column.endswith("_x")]
-        points = [np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=-1) for name in names]
-        return MarkerSequence(columns["time"], tuple(names), np.stack(points, axis=1))
-    except (KeyError, TypeError, ValueError, InvalidInputError) as error:
-        what = "times, names and points" if path.suffix.lower() == ".json" else "time, and x, y and z of each point"
-        raise FileFormatError(path, f"no 3D points over time: needs {what} ({error})") from error
-
-
-class LiftWith:
-    """A lifter beside which another model's points of the same video count.
-
-    Attributes:
-        agreement: of the last lift with the points; None before.
-    """
-
-    def __init__(self, points: MarkerSequence, name: str, base: LifterLike | None = None) -> None:
-        """Take named points on the video's clock, of a file of that name; `base`: default: the shipped lifter."""
-        self.points, self.base = points, base or shipped_lifter()
-        self.agreement: Agreement | None = None
-        own = getattr(self.base, "name", type(self.base).__name__)
-        self.name, self.prior = f"{own} and {name}", getattr(self.base, "prior", None)
-        self._file = name
-
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Why the points are not used, where they are not."""
-        doubt = "" if self.agreement is None else self.agreement.doubt
-        return (f"{self._file} is not used as a lift: {doubt}",) if doubt else ()
+    def warning(self) -> str:
+        """That it is not used, and why; '' where it is."""
+        return f"{self.name} is not used as a lift: {self.doubt}" if self.doubt else ""
 
-    def predict(
-        self,
-        keypoints: KeypointSequence,
-        joint_offsets: Array | None = None,
-        *,
-        bone_imus: BoneImuSequence | None = None,
-        floor_height: float | None = None,
-    ) -> LiftedPoses:
-        """Lift keypoints as `LifterLike`; errors as `external`."""
-        from lifting.predict import LiftedPoses
-
-        skeleton = SkeletonModel.default()
-        if joint_offsets is not None and len(joint_offsets) != len(skeleton.names):
-            raise InvalidInputError("lift: the points of another model need the 21-joint skeleton")
-        skeleton = skeleton if joint_offsets is None else skeleton.with_offsets(joint_offsets)
-        own = lift(keypoints, skeleton, self.base, bone_imus, floor_height)
-        other, self.agreement = external(self.points, own, keypoints, skeleton)
-        both = own if self.agreement.doubt else fused([own, other], [keypoints, keypoints], skeleton)
-        poses, seen = both.poses, np.any(own.poses.provenance != Provenance.BRIDGED, axis=1)
-        return LiftedPoses(
-            poses.times, poses.p_world_joint, seen, poses.names, both.sigma_m, both.R_world_bone, poses.sigma_rad
-        )
+    def __str__(self) -> str:
+        if self.doubt:
+            return f"{self.name} ({self.title}): left out, {self.doubt}"
+        unit = next((f"in {unit}" for unit, m in METRES.items() if abs(np.log(self.scale / m)) < _UNIT), "")
+        up = max(UP, key=lambda axis: float(self.R_world_file[2] @ UP[axis][2]))
+        late = f"{abs(1000 * self.delay):.0f} ms {'late' if self.delay > 0 else 'early'}" if self.delay else "in time"
+        own, other = (f"{1000 * size:.0f} mm" for size in reversed(self.sigma))
+        found = f"{unit or 'in a unit of its own'} (scale {self.scale:.3g}), {up} up, {late}"
+        return f"{self.name} ({self.title}): {found}; joints to {other}, the own lift to {own}"
 
 
 def external(
-    points: MarkerSequence, own: Lifted, video: KeypointSequence, skeleton: SkeletonModel
+    lift: LiftPoints,
+    own: Lifted,
+    video: KeypointSequence,
+    skeleton: SkeletonModel,
+    bone_imus: BoneImuSequence | None = None,
 ) -> tuple[Lifted, Agreement]:
     """Return another model's points as a lift at the times of the own one, which are those of the video.
+
+    Args:
+        bone_imus: sensors at these times; on their segments they tell which lift is better.
 
     Raises:
         InvalidInputError: names of no known convention, or they show fewer than `_FEWEST` joints.
     """
-    columns, segments, places = _placed(points.names, skeleton)
-    poses = own.poses
+    if own.poses.names != SkeletonModel.default().names:
+        raise InvalidInputError(f"{lift.name}: the points of another model need the 21-joint skeleton")
+    title, usual, columns, segments, places, spread = _placed(lift, skeleton)
+    poses, times, clock = own.poses, lift.points.times, video.video_times
     R, p = poses.R_world_bone, poses.p_world_joint
-    at = points.p_world[:, columns]
+    at = lift.points.p_world[:, columns]
     model = p[:, segments] + np.einsum("tkij,kj->tki", R[:, segments], places)
     joints = _nearest(segments, places, skeleton)
-    offset, seen = model - p[:, joints], video.select(skeleton.names)
-    delay, scale, R_world_file = _alignment(points.times, at, poses.times, model)
+    offset, seen, mean = model - p[:, joints], video.select(skeleton.names), partial(_joints, joints, spread, p.shape)
+    delay, scale, R_world_file, distance = _alignment(times, at, clock, model)
 
     def shown_at(delay: float) -> Array:
-        late = signals.interpolate(points.times, at, poses.times + delay, _LONGEST_GAP)
-        return _joints(scale * late @ R_world_file.T - offset, joints, p.shape)
+        late = signals.interpolate(times, at, clock + delay, _LONGEST_GAP)
+        return mean(scale * late @ R_world_file.T - offset)
 
     delay = _delay(lambda other: _misfit(shown_at(other), seen), delay)
     for _ in range(2):
@@ -185,13 +134,10 @@ def external(
     trunk: Mask = np.asarray(hips & known[:, skeleton.index("LeftArm", "RightArm")].all(axis=1))
     known[:, [0, *skeleton.index(*SPINE, "Neck")]] = trunk[:, None]
     difference = _by_ray(positions - p, p, video.camera)
-    ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.inf
-    doubt = ""
-    if not known.any():
-        doubt = "it has no frame of this video"
-    elif ratio > _FOREIGN:
-        doubt = "its motion is not that in the video: of another person, another take, or at another rate"
-    sigma = _sigma(difference, sigma_own, known, _image_ratio(positions, p, seen))
+    ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.nan
+    least = np.maximum(np.maximum(_LEAST, usual), _spread_of_joints(joints, spread, len(skeleton.names)))
+    worse = np.zeros(len(skeleton.names)) if bone_imus is None else _by_sensors(R, turned, bone_imus, skeleton)
+    error, sigma = _sigma(difference, sigma_own, known, _image_ratio(positions, p, seen), worse, least)
     sigma_rad = np.full(known.shape, _UNKNOWN)
     for j, ends in _bearing(skeleton).items():
         shows = known[:, [end for pair in ends for end in pair]].all(axis=1)
@@ -201,30 +147,65 @@ def external(
         np.where((sigma_rad < _UNKNOWN)[..., None, None], turned, np.nan),
         np.where(known[..., None], sigma, _UNKNOWN),
     )
-    return lifted, Agreement(scale, delay, R_world_file, ratio, doubt)
+    doubt = _doubt(times, at, clock, model, ratio, distance)
+    sizes = [_size(np.broadcast_to(each, difference.shape)[known]) for each in (error, sigma_own)]
+    return lifted, Agreement(lift.name, title, scale, delay, R_world_file, (sizes[0], sizes[1]), doubt)
 
 
-def _placed(names: tuple[str, ...], skeleton: SkeletonModel) -> tuple[list[int], Array, Array]:
-    """Return columns of the points, and segment and place (K, 3), m, in it of each.
+def _size(sigma: Array) -> float:
+    """RMS distance, m, of errors across and along the ray (N, 2); NaN of none."""
+    return float(np.sqrt(np.mean(sigma**2 @ [2.0, 1.0]))) if len(sigma) else np.nan
 
-    Names are those of a detector's layout, of joints, or of a marker set.
+
+def _doubt(times: Array, at: Array, clock: Array, model: Array, ratio: float, distance: float) -> str:
+    """Return why points (T, K, 3) are not those of the video: nobody, another time or rate, mirrored, or else another
+    motion; '' where they are.
+
+    `ratio`: of the differences from the own lift to its standard deviations; NaN where there is no common frame.
+    `distance`: from a model (T', K, 3) at `clock`, m.
     """
-    table = detector_table()
-    layout, found = table.nearest(names)
-    known = {point.name: (point.joint, point.offset) for point in table.points}
-    known |= {own_point(name): place for name, place in SkeletonModel.default().landmarks.items()}
-    if layout is not None:
-        named = zip(found, layout.points, strict=True)
-        rows = [(column, *known[point]) for column, point in named if column is not None]
+    shown: Mask = np.asarray(np.isfinite(at).all(axis=-1).sum(axis=1) >= _FEWEST)
+    if not shown.any():
+        return f"it shows nobody: no frame has {_FEWEST} of the points that are needed"
+    first, last = times[shown][[0, -1]]
+    if np.isnan(ratio):
+        span = f"{first:.2f} to {last:.2f} s, the video {clock[0]:.2f} to {clock[-1]:.2f} s"
+        return f"it has no frame of this video: it shows somebody from {span}"
+
+    seconds, video = float(np.ptp(times)), float(np.ptp(clock))
+    other_rate = len(times) == len(clock) and abs(seconds / max(video, 1e-9) - 1) > _SAME
+    if other_rate and _alignment(clock, at, clock, model)[-1] < distance:
+        return f"its times are at another rate: it lasts {seconds:.2f} s, the video {video:.2f} s with as many frames"
+    if ratio <= _FOREIGN:
+        return ""
+    if _alignment(times, at * [-1.0, 1.0, 1.0], clock, model)[-1] < _BETTER * distance:
+        return "its points are mirrored: its axes are left-handed, or left and right are exchanged"
+    return "its motion is not that in the video: of another person or take, at another rate, or it fails here"
+
+
+def _placed(lift: LiftPoints, skeleton: SkeletonModel) -> tuple[str, Array, list[int], Array, Array, Array]:
+    """Return the title of the points' convention, its usual errors (2,) across and along the ray, m, and the columns,
+    segment, place (K, 3), m, and standard deviation of that place per axis (K,), m, of each point.
+
+    Names are those of a convention, or of a marker set.
+    """
+    names = lift.points.names
+    form = convention(lift.convention) if lift.convention else recognised(names)
+    if form is not None:
+        title, usual = form.layout.title, usual_errors(form, lift.points)
+        named = zip(form.layout.found(names), form.segments, form.places, form.sigma, strict=True)
+        rows = [row for row in named if row[0] is not None]
     else:
         markers = places_of(names)
-        of = zip(markers.names, markers.segments, markers.p_bone_marker, strict=True)
-        rows = [(names.index(name), segment, place) for name, segment, place in of]
-    columns, segments, places = zip(*rows, strict=True)
+        title, usual, sigma = f"markers, {markers.set_name}", np.zeros(2), markers.sigma_place.mean(axis=1)
+        of = zip(markers.names, markers.segments, markers.p_bone_marker, sigma, strict=True)
+        rows = [(names.index(name), segment, place, sd) for name, segment, place, sd in of]
+    if (count := len({row[1] for row in rows})) < _FEWEST:
+        raise InvalidInputError(f"{lift.name}: its points are on {count} segments; give {_FEWEST} or more")
+    columns, segments, places, spread = zip(*rows, strict=True)
     size = skeleton.height / SkeletonModel.default().height
-    if len(set(segments)) < _FEWEST:
-        raise InvalidInputError(f"lift: its points are on {len(set(segments))} segments; give {_FEWEST} or more")
-    return list(columns), np.array(skeleton.index(*segments)), size * np.array(places)
+    at = np.array(skeleton.index(*segments))
+    return title, usual, list(columns), at, size * np.array(places), size * np.array(spread)
 
 
 def _nearest(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
@@ -237,13 +218,15 @@ def _nearest(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
     return out
 
 
-def _alignment(times: Array, points: Array, at: Array, model: Array) -> tuple[float, float, Array]:
-    """Return delay, s, scale and rotation under which points (T, K, 3) agree best with a model (T', K, 3) at `at`."""
+def _alignment(times: Array, points: Array, at: Array, model: Array) -> tuple[float, float, Array, float]:
+    """Return delay, s, scale and rotation under which points (T, K, 3) agree best with a model (T', K, 3) at `at`, and
+    their RMS distance, m.
+    """
     step = max(1, len(at) // _SAMPLE)
     late = ((delay, signals.interpolate(times, points, at[::step] + delay, _LONGEST_GAP)) for delay in _DELAYS)
     found = [(delay, *_similarity(seen, model[::step])) for delay, seen in late]
-    delay, _, scale, R = min(found, key=lambda row: row[1])
-    return float(delay), scale, R
+    delay, distance, scale, R = min(found, key=lambda row: row[1])
+    return float(delay), scale, R, distance
 
 
 def _delay(misfit: Callable[[float], float], near: float) -> float:
@@ -288,16 +271,24 @@ def _similarity(points: Array, model: Array) -> tuple[float, float, Array]:
     return float(np.sqrt(np.mean(np.minimum(distance[both], 0.3) ** 2))), scale, R
 
 
-def _joints(points: Array, joints: Array, shape: tuple[int, ...]) -> Array:
-    """Return joints (T, J, 3) as the mean of what points (T, K, 3) say of theirs; NaN where none does."""
-    out = np.full(shape, np.nan)
+def _joints(joints: Array, spread: Array, shape: tuple[int, ...], points: Array) -> Array:
+    """Return joints (T, J, 3) as the mean of what points (T, K, 3) say of theirs, by the standard deviations of their
+    places (K,); NaN where none does.
+    """
+    out, weights = np.full(shape, np.nan), 1 / spread**2
     for joint in np.unique(joints):
-        own = points[:, joints == joint]
-        known: Mask = np.asarray(np.isfinite(own).all(axis=-1, keepdims=True))
-        count = known.sum(axis=1)
-        mean = np.where(known, own, 0.0).sum(axis=1) / np.maximum(count, 1)
-        out[:, joint] = np.where(count > 0, mean, np.nan)
+        own, weight = points[:, joints == joint], weights[joints == joint, None]
+        weight = np.where(np.isfinite(own).all(axis=-1, keepdims=True), weight, 0.0)
+        total = weight.sum(axis=1)
+        mean = (weight * np.nan_to_num(own)).sum(axis=1) / np.maximum(total, 1e-9)
+        out[:, joint] = np.where(total > 0, mean, np.nan)
     return out
+
+
+def _spread_of_joints(joints: Array, spread: Array, count: int) -> Array:
+    """Return the standard deviation (J, 1), m, of each joint's place by those of its points; 0 where it has none."""
+    information = np.bincount(joints, 1 / spread**2, count)
+    return np.asarray(np.where(information > 0, 1 / np.sqrt(np.maximum(information, 1e-9)), 0.0))[:, None]
 
 
 def _by_bones(shown: Array, skeleton: SkeletonModel) -> float:
@@ -435,12 +426,38 @@ def _image_ratio(other: Array, own: Array, video: KeypointSequence) -> Array:
     return np.asarray(np.clip(sizes[0] / sizes[1], 1 / _MOST_RATIO, _MOST_RATIO))
 
 
-def _sigma(difference: Array, sigma_own: Array, known: Mask, ratio: Array) -> Array:
-    """Return standard deviations (J, 2), m, of the other lift."""
-    out = np.empty(difference.shape[1:])
-    for j in range(len(out)):
+def _by_sensors(own: Array, other: Array, imus: BoneImuSequence, skeleton: SkeletonModel) -> Array:
+    """Return how far the bones of another lift's orientations (T, J, 3, 3) are from those of sensors, relative to the
+    own's, for the joint at the end of each (J,); 0 where they are nearer, or where no sensor tells.
+    """
+    out = np.zeros(len(skeleton.names))
+    for s, name in enumerate(imus.joints):
+        joint, axis = skeleton.index(name)[0], skeleton.bone_axis(name)
+        bones = np.linalg.norm([(R[:, joint] - imus.R_world_bone[:, s]) @ axis for R in (own, other)], axis=-1)
+        bones = bones[:, np.isfinite(bones).all(axis=0)]
+        ratio = np.sqrt(np.sum(bones[1] ** 2) / max(np.sum(bones[0] ** 2), 1e-9))
+        out[kinematics.children_of(skeleton.parents, joint)] = ratio if ratio > 1 else 0.0
+    return out
+
+
+def _sigma(
+    difference: Array, sigma_own: Array, known: Mask, ratio: Array, worse: Array, least: Array
+) -> tuple[Array, Array]:
+    """Return standard deviations (J, 2), m, of the other lift, and those that give it, as if independent, the weight
+    that it has with the correlation that both show.
+
+    `ratio`: of its errors in the image to the own's (J,). `worse`: of its errors to the own's by sensors, 0 where they
+    do not tell (J,).
+    """
+    error, sigma = np.empty((2, *difference.shape[1:]))
+    for j in range(len(error)):
         rows = known[:, j] if known[:, j].any() else slice(None)
         s = np.sqrt(np.mean(sigma_own[rows, j] ** 2, axis=0))
-        left = np.mean(difference[rows, j, 1] ** 2) - (1 - _CORRELATION**2) * s[1] ** 2
-        out[j] = ratio[j] * s[0], _CORRELATION * s[1] + np.sqrt(max(left, 0.0))
-    return np.asarray(np.maximum(out, _LEAST))
+        d2 = np.mean(difference[rows, j] ** 2, axis=0)
+        left = d2[1] - (1 - _CORRELATION**2) * s[1] ** 2
+        seen = [ratio[j] * s[0], max(_CORRELATION * s[1] + np.sqrt(max(left, 0.0)), _BEST * s[1])]
+        error[j] = np.maximum(np.maximum(seen, worse[j] * s), least[j])
+        share = np.clip((1 + (s[1] ** 2 - error[j, 1] ** 2) / max(d2[1], 1e-9)) / 2, *_SHARES)
+        sigma[j] = error[j, 0], s[1] * np.sqrt((1 - share) / share)
+    sigma[0] = error[0]  # the root is the own lift's
+    return error, sigma

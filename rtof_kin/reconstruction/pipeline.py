@@ -138,8 +138,8 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         for other in camera.deviations() if camera is not None else ():
             one = with_camera(recording, other)
             others.append(job.solved_again(one, mode, prepared.rejected, calibration)[1])
-    of_lift = getattr(job.lifter, "warnings", ())
-    warnings = (*setup.warnings, *of_lift, *quality_warnings(prepared, solution, settings))
+    left_out = (other.warning for other in prepared.others if other.doubt)
+    warnings = (*setup.warnings, *left_out, *quality_warnings(prepared, solution, settings))
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     motion = skeleton.motion(poses)
@@ -174,6 +174,7 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         certificate=certificate,
         choices=replace(setup.choices, settings=settings if solution is not None else settings.with_fragment(None)),
         position_errors=position,
+        lifts=prepared.others,
     )
 
 

@@ -21,6 +21,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, missing_samples, reject_imu_outliers
 from rtof_kin.reconstruction.camera_evidence import without_heading_drift
+from rtof_kin.reconstruction.external_lift import Agreement, external
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -108,9 +109,14 @@ class Job:
             self.progress("lift", i, len(cameras))
             lifts.append(lift(seen, skeleton, self.lifter, sensors, recording.floor_height))
         self.progress("lift", len(cameras), len(cameras))
-        lifted = fused(lifts, cameras, skeleton)
+        others = [external(other, lifts[0], keypoints, skeleton, bone_imus) for other in recording.lifts]
+        used = [other for other, agreement in others if not agreement.doubt]
+        lifted = fused([*lifts, *used], [*cameras, *(keypoints for _ in used)], skeleton)
         stages, start = _refined(lifted, skeleton, mode, bone_imus)
-        return Prepared(recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected)
+        agreements = tuple(agreement for _, agreement in others)
+        return Prepared(
+            recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected, agreements
+        )
 
     def calibrated(self, calibration: SelfCalibration | None) -> Job:
         """Return the job on the calibrated recording, or as it is for None, with its fragment solver's settings."""
@@ -183,6 +189,7 @@ class Prepared:
     calibration: SelfCalibration | None = None  #: The self-calibration that was applied to the recording before
     rejected: tuple[StreamFault, ...] = ()
     """Intervals of sensors that are not used because they contradict the motion, by segment."""
+    others: tuple[Agreement, ...] = ()  #: How the points of other models agree with the own lift
 
     @property
     def faults(self) -> tuple[StreamFault, ...]:

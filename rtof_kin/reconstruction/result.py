@@ -20,6 +20,7 @@ from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.position import PositionErrors
+from rtof_kin.reconstruction.external_lift import Agreement
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
@@ -89,6 +90,7 @@ class Reconstruction:
     choices: Choices = field(default_factory=Choices)
     certificate: Certificate | None = None  #: What left-out sensors say; None where it was not asked for
     position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
+    lifts: tuple[Agreement, ...] = ()  #: How the points of other models agree; of a long recording in its first part
     parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
 
 

@@ -95,6 +95,11 @@ def _recording_of(result: Path, summary: dict[str, Any], given: str | Path | Non
             f"{result}: does not say how it was made (by an earlier version, or in Python); run rtof-kin "
             "reconstruct again, then export that"
         )
+    if run.get("lift_sha256"):
+        raise InvalidInputError(
+            f"{result}: made with --lift, and the archive has the recording only; name the points in its [lift], and "
+            "reconstruct again without the option"
+        )
     near = (*(result.parent / name for name in _OF_RUN), model_path("demo"))
     for folder in near if given is None else (Path(given),):
         if given is not None or (folder / INDEX).is_file():
@@ -113,7 +118,11 @@ def _identifying(recording: Recording, folder: Path) -> re.Pattern[str]:
     session = recording.session
     words = [word for label in (session.subject, session.operator) for word in (label, *re.split(r"[\W_]+", label))]
     titles = (recording.name, folder.resolve().name)
-    words += [session.place, *(title for title in titles if not (title.isalpha() and title.islower()))]
+    words += [
+        session.place,
+        *(Path(lift.name).stem for lift in recording.lifts),
+        *(title for title in titles if not (title.isalpha() and title.islower())),
+    ]
     known = sorted({word for word in words if len(word) >= _SHORTEST}, key=len, reverse=True)
     names = "|".join(map(re.escape, known))
     return re.compile(f"{_PATH}|(?<![^\\W_])(?:{names})(?![^\\W_])" if names else _PATH, re.IGNORECASE)

@@ -343,6 +343,7 @@ def _recording(motion: MotionSource, summary: Summary, session: Session, made: s
         "Body": f"{height}, {weight}",
         "Length": f"{len(times)} frames, {times[-1] - times[0]:.1f} s, {motion.rate_hz:.4g} Hz",
         "Camera": image,
+        **({"Other 3D models": ". ".join(found)} if (found := inputs.get("found_of_lifts")) else {}),
         "Sensors": ", ".join(str(s.get("segment") or s.get("name")) for s in sensors) or "none",
         "Mode": summary.mode,
         **_settings(summary.settings or {}),

@@ -48,6 +48,8 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
         "floor_height_m": recording.floor_height,
         "camera": _camera(statistics),
         "cameras": 0 if result.keypoints is None else 1 + len(recording.views),
+        "lifts": [one.name for one in result.lifts if not one.doubt],
+        "found_of_lifts": [str(one) for one in result.lifts],
         "camera_estimate": None
         if result.camera is None
         else {"columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()]},

@@ -22,7 +22,10 @@ _TABLES: Final = (
     *("settings", "mean_sigma_m", "inputs", "session", "subject", "camera", "delay"),
     *("calibration", "camera_estimate"),
 )
-_LISTS: Final = {"audit": dict, "sensors": dict, "rows": list, "columns": str, "landmarks": str}
+_LISTS: Final = {
+    **{"audit": dict, "sensors": dict, "rows": list},
+    **dict.fromkeys(("columns", "landmarks", "lifts", "found_of_lifts"), str),
+}
 """List -> kind of its elements; those of other lists are numbers."""
 _OWN: Final = ("audit", "session")  # tables that check themselves
 _ANY: Final = ("fragment", "frames", "threads")  # settings of any kind

@@ -232,6 +232,8 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
     image = "one camera" if cameras <= 1 else f"{cameras} cameras"
+    if used := summary.inputs.get("lifts"):
+        image += f" with the 3D points of {_listed(used)}"
     if not summary.inputs.get("camera"):
         return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
     if summary.mode == IMAGE_FREE:

@@ -16,7 +16,7 @@ from typing import Any
 from rtof_kin.calibration.result import read_self_calibration_toml
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import environment
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
@@ -26,7 +26,7 @@ from rtof_kin.reconstruction.person import Person, update_subject
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.recording import Recording, RecordingReader
+from rtof_kin.recording.recording import Recording, RecordingReader, RecordingSource
 from rtof_kin.reporting.analysis import write_analysis
 from rtof_kin.reporting.export import MARKER, export
 from rtof_kin.reporting.page import PAGE, report
@@ -36,6 +36,7 @@ from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.setup.init import Detect, Findings, make_recording
 from rtof_kin.setup.join import ABOUT, join_recordings
 from rtof_kin.setup.settings import ReconstructionTask, SecondCamera, SetupSettings
+from rtof_kin.vision.lift_points import split_convention
 
 RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
 """Folders that `run` writes, beside the report; the second and third where there are two cameras."""
@@ -102,6 +103,9 @@ def run(
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(certificate=True), analysis or AnalysisSettings()
     setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
+    lifts = [split_convention(file)[0] for file in task.lift]
+    if missing := [file for file in lifts if not file.is_file()]:
+        raise FileFormatError(missing[0], "there is no such file of 3D points")
     setup = setup if height is None else replace(setup, height=height)
     person = task.person()
     if setup.height is None and person is not None and person.height_m is not None:
@@ -139,7 +143,7 @@ def run(
     del recording  # a long one is read in parts
     solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
     known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
-    step(MOTION, solved, own, str(task), str(settings), str(known))
+    step(MOTION, solved, own, str(task), str(settings), str(known), *lifts)
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),
@@ -170,10 +174,11 @@ def reconstruct_folder(
     """
     check_replaceable(output, MARKER, overwrite)
     with ExitStack() as stack:
-        source: Recording | RecordingReader = (
+        source: RecordingSource = (
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
+        source = task.with_lifts(source)
         lifter = task.lifter()
         person = Person.of(task.person(), source).seen(source, mode, lifter, settings)
         informed = person.informed(source)
@@ -186,7 +191,7 @@ def reconstruct_folder(
             "recording_sha256": digest,
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
-            "lift_sha256": None if task.lift is None else file_digest(task.lift),
+            "lift_sha256": [file_digest(split_convention(file)[0]) for file in task.lift],
             "subject_sha256": None if task.subject is None else file_digest(task.subject),
         }
         if used := person.used(informed.facts):

@@ -11,6 +11,7 @@ from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.lift import LifterLike
+    from rtof_kin.recording.recording import RecordingSource
     from rtof_kin.recording.subject import Subject
 
 
@@ -57,8 +58,9 @@ class ReconstructionTask:
     model: Path | None = None
     """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
     live (of the live commands)."""
-    lift: Path | None = None
-    """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift."""
+    lift: tuple[Path, ...] = ()
+    """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift;
+    FILE:CONVENTION where names or number of its joints do not say which they are. May be given more than once."""
     calibrate: bool = False
     """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
     calibration: Path | None = None
@@ -85,17 +87,25 @@ class ReconstructionTask:
         return read_subject(self.subject)
 
     def lifter(self) -> LifterLike | None:
-        """Load the model that is named, with the points of another one beside it; None for the shipped one."""
-        if self.model is None and self.lift is None:
+        """Load the model that is named; None for the shipped one."""
+        if self.model is None:
             return None
         from lifting.predict import Lifter
 
-        own = Lifter.load(self.model)
-        if self.lift is None:
-            return own
-        from rtof_kin.reconstruction.external_lift import LiftWith, read_points
+        return Lifter.load(self.model)
 
-        return LiftWith(read_points(self.lift), self.lift.name, own)
+    def with_lifts(self, source: RecordingSource) -> RecordingSource:
+        """Return a recording with the points of other models beside its own ones; errors as `read_lift_points`."""
+        if not self.lift:
+            return source
+        from rtof_kin.vision.lift_points import read_lift_points, split_convention
+
+        first = source.facts.keypoints
+        if source.frame_times is None or first is None:
+            raise InvalidInputError("--lift needs a video, which the recording lacks; leave it out")
+        times = source.frame_times - first.times[0] + first.video_times[0]
+        read = (read_lift_points(*split_convention(file), times) for file in self.lift)
+        return source.with_facts(lifts=(*source.facts.lifts, *read))
 
 
 @dataclass(frozen=True)

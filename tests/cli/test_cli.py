@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtof_kin.body.metrics import BEGUN_TOGETHER
+from rtof_kin.body.metrics import BEGUN_TOGETHER, at_times
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.cli.terminal import STYLES, accuracy, log_handler, print_headline
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit_results import AuditResult, headline
 
@@ -177,6 +179,56 @@ def test_reconstruct_takes_the_mode_of_what_was_recorded(short: Path, tmp_path: 
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["mode"] == "rto"
     assert "reconstructed motion" in cli("inspect", tmp_path / "out").out
     assert both.usual_mode == "rtof"
+
+
+def test_points_of_other_models_count_beside_the_own_lift_and_are_named(short: Path, tmp_path: Path, cli: Any) -> None:
+    recording = replace(Recording.load(short), imus=None, calibration=None)
+    assert recording.truth is not None
+    at = at_times(recording.truth, recording.times)
+    names, other = tmp_path / "names.npz", tmp_path / "joints.npz"
+    wrong = tmp_path / "mirrored.npz"
+    np.savez(names, times=at.times, names=np.array(at.names), p_world=1000 * at.p_world_joint)
+    np.savez(other, joints=at.p_world_joint)
+    np.savez(wrong, times=at.times, names=np.array(at.names), p_world=at.p_world_joint * [-1, 1, 1])
+    recording.save(tmp_path / "seen")
+    options = ("--mode", "lift", "--no-figures", "-o")
+    alone = cli.ok("reconstruct", tmp_path / "seen", *options, tmp_path / "alone")
+    lifts = ("--lift", names, "--lift", f"{other}:joints", "--lift", wrong)
+    done = cli.ok("reconstruct", tmp_path / "seen", *options, tmp_path / "out", *lifts)
+    done.says(
+        "lift names.npz (the skeleton's own joints): in mm (scale 0.00",
+        "lift joints.npz (the skeleton's own joints): in m (scale 1",
+        "lift mirrored.npz (the skeleton's own joints): left out, its points are mirrored",
+    )
+    assert "lift names" not in alone.out
+    summaries = [json.loads((tmp_path / name / "summary.json").read_text()) for name in ("alone", "out")]
+    errors = [one["metrics"]["lift"]["mpjpe_rr_mm"] for one in summaries]
+    assert errors[1] < 0.75 * errors[0]
+    assert summaries[1]["inputs"]["lifts"] == ["names.npz", "joints.npz"]
+    assert len(summaries[1]["run"]["lift_sha256"]) == 3
+    assert [one for one in summaries[1]["warnings"] if one.startswith("mirrored.npz is not used as a lift: its points")]
+    cli.ok("report", tmp_path / "out", "-o", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text()
+    assert "with the 3D points of names.npz and joints.npz" in page
+    assert "mirrored.npz (the skeleton&#39;s own joints): left out" in page
+    done = cli.refused("export", tmp_path / "out", tmp_path / "a.zip", "--to", "archive")
+    assert "made with --lift, and the archive has the recording only; name the points in its [lift]" in done.err
+    for file in (names, other, wrong):
+        file.rename(tmp_path / "seen" / file.name)
+    with (tmp_path / "seen" / INDEX).open("a") as stream:
+        stream.write('[lift]\nfiles = ["names.npz", "joints.npz:joints", "mirrored.npz"]\n')
+    cli.ok("reconstruct", tmp_path / "seen", *options, tmp_path / "same")
+    same = (tmp_path / name / "motion.h5" for name in ("out", "same"))
+    assert next(same).read_bytes() == next(same).read_bytes()
+    cli.ok("export", tmp_path / "same", tmp_path / "a.zip", "--to", "archive", "--recording", tmp_path / "seen")
+    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
+        assert "recording/lift_3.npz" in archive.namelist()
+        assert b"mirrored.npz" not in archive.read("result/summary.json")
+
+
+def test_a_lift_needs_a_video(wrong: Path, tmp_path: Path, cli: Any) -> None:
+    done = cli.refused("reconstruct", wrong / "sensors_only", "-o", tmp_path / "out", "--lift", tmp_path / "a.trc")
+    assert "--lift needs a video, which the recording lacks; leave it out" in done.err
 
 
 def test_a_mistyped_choice_is_one_line_with_what_was_meant(cli: Any) -> None:
