@@ -1,9 +1,9 @@
 """Planted 3D poses of another model as a second lift: right ones, and ones with known faults, with 0 and 8 sensors.
 
 ``python -m benchmarks external_lift --corpus DIR``: every third of the benchmark's motions, one camera each, realistic
-2D. The other model gives MediaPipe's 33 points about the hips on the camera's axes, with errors of 35 mm that last half
-a second; *faults* adds a lean of 8 degrees, the scale 0.9, 80 ms of delay and 60 mm that last five seconds; *somebody
-else* is the motion of the next recording.
+2D. The other model gives the points of MHR (SAM 3D Body) about the hips on the camera's axes, with errors of 35 mm that
+last half a second; *faults* adds a lean of 8 degrees, the scale 0.9, 80 ms of delay and 60 mm that last five seconds;
+*somebody else* is the motion of the next recording.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,11 @@ from benchmarks import harness, scoring
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.reconstruction.external_lift import LiftWith
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import coloured_noise
-from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.lift_points import LiftPoints, convention
 
 CASES = ("none", "right", "faults", "somebody else")
 SENSORS = ("0", "8")
@@ -33,13 +33,11 @@ COLUMNS = {name: harness.COLUMNS[name] for name in ("mpjpe_rr_mm", "mpjpe_mm", "
 ERROR, SLOW, LEAN, SCALE, DELAY = 0.035, 0.06, 8.0, 0.9, 0.08  # [m], [m], [deg], [1], [s]
 
 
-def points(recording: Recording, seed: int, faults: bool) -> MarkerSequence:
+def points(recording: Recording, seed: int, faults: bool) -> LiftPoints:
     """What the other model says of a recording with truth."""
-    truth, rng, table = recording.truth, np.random.default_rng(seed), detector_table()
+    truth, rng, form = recording.truth, np.random.default_rng(seed), convention("mhr70")
     assert truth is not None
-    layout, known = table.layout("mediapipe33"), {point.name: point for point in table.points}
-    segments = [truth.names.index(known[name].joint) for name in layout.points]
-    places = np.array([known[name].offset for name in layout.points])
+    segments, places = [truth.names.index(name) for name in form.segments], form.places
     p = truth.p_world_joint[:, segments] + np.einsum("tkij,kj->tki", truth.R_world_bone[:, segments], places)
     p = p - truth.p_world_joint[:, :1]
     for memory, size in ((0.5, ERROR), (5.0, SLOW if faults else 0.0)):
@@ -47,7 +45,7 @@ def points(recording: Recording, seed: int, faults: bool) -> MarkerSequence:
     turn = recording.video.camera.R_camera_world
     turn = turn @ so3.about_axis("y", np.radians(LEAN)) if faults else turn
     times, scale = (truth.times + DELAY, SCALE) if faults else (truth.times, 1.0)
-    return MarkerSequence(times, layout.names, scale * p @ turn.T)
+    return LiftPoints("points", MarkerSequence(times, form.layout.names, scale * p @ turn.T))
 
 
 def rows(job: tuple[int, MocapClip, MocapClip]) -> list[dict[str, Any]]:
@@ -63,12 +61,11 @@ def rows(job: tuple[int, MocapClip, MocapClip]) -> list[dict[str, Any]]:
             given = (
                 None
                 if case == "none"
-                else points(foreign if case == CASES[-1] else recording, number, case == "faults")
+                else points(foreign if case == "somebody else" else recording, number, case == "faults")
             )
-            lifter = None if given is None else LiftWith(given, "points")
             with without_warnings(RESULT_WARNINGS):
-                result = reconstruct(recording, mode=mode, lifter=lifter)
-            named = lifter is not None and bool(lifter.warnings)
+                result = reconstruct(replace(recording, lifts=() if given is None else (given,)), mode=mode)
+            named = any(lift.warning in result.warnings for lift in result.lifts)
             about = {"motion": clip.name, "sensors": sensors, "lift": case, "named": named}
             found.append(about | {"frames": len(recording.video)} | scoring.figures(result, mode))
     return found
