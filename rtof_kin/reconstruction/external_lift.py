@@ -59,6 +59,8 @@ _UNKNOWN: Final = 1e3  #: [m], [rad] of what it does not show
 _UNIT: Final = 0.25  #: Largest logarithm of the scale relative to a unit's
 _BEST: Final = 0.7  #: Least error of the other lift along the ray, relative to the own one's
 _SHARES: Final = (0.01, 0.7)  #: Least and largest weight of the other lift along the ray
+_CROSSED: Final = 0.6  #: Distance from the own lift, relative to that as they are, below which sides are exchanged
+_MOST_EXCHANGED: Final = 0.4  #: Share of frames with exchanged sides from which the points are not used
 _BETTER: Final = 0.8  #: Distance, relative to that of the points as they are, below which mirrored ones are right
 
 
@@ -73,6 +75,7 @@ class Agreement:
     R_world_file: Array  #: (3, 3)
     sigma: tuple[float, float]  #: [m] RMS standard deviations of the joints that it shows, and of the own lift's, in 3D
     doubt: str = ""  #: Why it is not used; '' where it is
+    exchanged: float = 0.0  #: Share of its frames in which sides were exchanged back
 
     @property
     def warning(self) -> str:
@@ -87,6 +90,7 @@ class Agreement:
         late = f"{abs(1000 * self.delay):.0f} ms {'late' if self.delay > 0 else 'early'}" if self.delay else "in time"
         own, other = (f"{1000 * size:.0f} mm" for size in reversed(self.sigma))
         found = f"{unit or 'in a unit of its own'} (scale {self.scale:.3g}), {up} up, {late}"
+        found += f", sides exchanged back in {100 * self.exchanged:.0f} % of its frames" if self.exchanged else ""
         return f"{self.name} ({self.title}): {found}; joints to {other}, the own lift to {own}"
 
 
@@ -124,7 +128,7 @@ def external(
     for _ in range(2):
         shown = shown_at(delay)
         scale, R_world_file = scale * _by_bones(shown, skeleton), _by_image(shown, seen) @ R_world_file
-    shown = shown_at(delay)
+    shown, exchanged = _sides_mended(shown_at(delay), p, skeleton)
     turned = _turned(R, p, shown, skeleton)
     positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
     sigma_own = _relative_sigma(own)
@@ -148,8 +152,27 @@ def external(
         np.where(known[..., None], sigma, _UNKNOWN),
     )
     doubt = _doubt(times, at, clock, model, ratio, distance)
+    if not doubt and exchanged > _MOST_EXCHANGED:
+        doubt = f"left and right are exchanged in {100 * exchanged:.0f} % of its frames"
     sizes = [_size(np.broadcast_to(each, difference.shape)[known]) for each in (error, sigma_own)]
-    return lifted, Agreement(lift.name, title, scale, delay, R_world_file, (sizes[0], sizes[1]), doubt)
+    return lifted, Agreement(lift.name, title, scale, delay, R_world_file, (sizes[0], sizes[1]), doubt, exchanged)
+
+
+def _sides_mended(shown: Array, p: Array, skeleton: SkeletonModel) -> tuple[Array, float]:
+    """Return joints (T, J, 3) with legs or arms exchanged in frames in which they are nearer so to those of the own
+    lift (T, J, 3), both from the middle of the hips; and the share of such frames.
+    """
+    out, wrong = shown.copy(), np.zeros(len(shown), dtype=bool)
+    hips = skeleton.index("LeftUpLeg", "RightUpLeg")
+    seen, own = (v - v[:, hips].mean(axis=1, keepdims=True) for v in (shown, p))
+    for chain in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand")):
+        left, right = (skeleton.index(*(side + joint for joint in chain)) for side in ("Left", "Right"))
+        there, other = [*left, *right], [*right, *left]
+        straight, crossed = (np.linalg.norm(seen[:, j] - own[:, there], axis=-1).sum(axis=1) for j in (there, other))
+        mended = crossed < _CROSSED * straight  # not where a joint is missing
+        out[np.ix_(mended, there)] = shown[np.ix_(mended, other)]
+        wrong |= mended
+    return out, float(wrong.mean())
 
 
 def _size(sigma: Array) -> float:

@@ -166,6 +166,8 @@ def read_lift_points(path: str | Path, wanted: str = "", frame_times: Array | No
         ".json": lambda: _read_json(path),
         ".csv": lambda: _read_csv(path),
     }
+    if path.suffix.lower() == ".mot":
+        raise FileFormatError(path, "angles of a model that is not here; give the .trc of points beside it")
     if path.suffix.lower() not in read:
         raise FileFormatError(path, f"no 3D points; known: {', '.join(read)}")
     return LiftPoints(path.name, read[path.suffix.lower()](), wanted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,32 @@ def test_gaps_are_filled_by_the_own_lift() -> None:
     own = OWN.poses.p_world_joint
     np.testing.assert_allclose(found.poses.p_world_joint[50:70], own[50:70], atol=1e-6)
     assert error_mm(found, slice(0, 30)) < 0.75 * error_mm(OWN, slice(0, 30))
+
+
+def crossed(given: LiftPoints, frames: slice, words: tuple[str, ...]) -> LiftPoints:
+    """The points with left and right exchanged in some frames, of joints that have such words in their names."""
+    p, names = given.points.p_world.copy(), given.points.names
+    other = [names.index(n.replace("left", "?").replace("right", "left").replace("?", "right")) for n in names]
+    own = [k for k, name in enumerate(names) if any(word in name for word in words)]
+    p[frames, own] = given.points.p_world[frames][:, [other[k] for k in own]]
+    return changed(given, p)
+
+
+@pytest.mark.parametrize("words", [("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"), ("",)])
+def test_sides_that_are_exchanged_for_some_frames_are_mended(words: tuple[str, ...]) -> None:
+    given = points("coco17", sigma=0.01)
+    right, _ = combined(given)
+    found, (agreement,) = combined(crossed(given, slice(30, 54), words))
+    assert error_mm(found) < 1.03 * error_mm(right) < 0.8 * error_mm(OWN)
+    assert agreement.exchanged == pytest.approx(0.2, abs=0.02)
+    assert f", sides exchanged back in {100 * agreement.exchanged:.0f} % of its frames; joints" in str(agreement)
+
+
+def test_sides_that_are_exchanged_for_long_make_the_points_unused() -> None:
+    given = points("coco17", sigma=0.01)
+    found, (agreement,) = combined(crossed(given, slice(20, 110), ("hip", "knee", "ankle")))
+    assert error_mm(found) == error_mm(OWN)
+    assert re.fullmatch("left and right are exchanged in (6|7). % of its frames", agreement.doubt)
 
 
 def test_what_is_known_of_a_model_counts_more_than_its_agreement() -> None:
