@@ -144,7 +144,7 @@ class Subject(InputTable):
             turns = np.radians([one.value for one in self.posture_deg.values()])
             sigmas = np.radians([sd_of("posture_deg", one) for one in self.posture_deg.values()])
             facts["posture"] = NeutralPosture(tuple(self.posture_deg), so3.to_quat_wxyz(so3.exp(turns)), sigmas)
-        if self.image_points_m:
+        if self.image_points_m and recording.calibration is None:  # with sensors they gain nothing
             facts["image_points"] = {
                 layout: {
                     joint: np.array(one.value) / (1 + (sd_of("image_points_m", one) / _SPREAD_OF_PLACES) ** 2)

@@ -216,10 +216,12 @@ def test_a_silent_recording_gets_what_the_file_knows(tmp_path: Path, recording: 
     np.testing.assert_array_equal(found.video.uv_px, recording.video.uv_px)
 
 
-def test_points_in_the_image_are_moved_by_the_share_that_is_known(recording: Recording) -> None:
+def test_points_in_the_image_are_moved_without_sensors_by_the_share_that_is_known(recording: Recording) -> None:
     shift, sd = np.array([0.02, 0.0, -0.01]), 0.03
     subject, _ = merged(NOBODY, {"image_points_m.mediapipe33.LeftLeg": of(shift.tolist(), sd)})
-    found = recording.with_facts(**subject.informed(recording)).skeleton.table.image_points
+    assert "image_points" not in subject.informed(recording)
+    alone = replace(recording, imus=None, calibration=None)
+    found = alone.with_facts(**subject.informed(alone)).skeleton.table.image_points
     np.testing.assert_allclose(found["mediapipe33"]["LeftLeg"], shift * 0.015**2 / (0.015**2 + sd**2))
 
 
