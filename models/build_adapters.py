@@ -25,7 +25,7 @@ m away where f = 1250 px."""
 
 def main(corpus: str) -> None:
     """Read, look, fit, write."""
-    split, table = read_split(BENCHMARK_SPLIT), detector_table()
+    split, table = read_split(BENCHMARK_SPLIT), detector_table().fitted
     rng, views, seen = np.random.default_rng(SEED), Views(table), []
     joints = len(views.skeleton.names)
     for clip in read_corpus(Path(corpus), output_rate_hz=RATE_HZ):

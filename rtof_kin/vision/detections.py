@@ -1,6 +1,7 @@
 """`Detections`: the keypoints of all people that a detector found in a video, in the detector's layout.
 
-Keypoints in tables: columns for each point, a row for each point of each frame, or markers in pixels. Rows for each
+Keypoints in tables: columns for each point, a row for each point of each frame, DeepLabCut's and SLEAP's, or markers in
+pixels. Rows for each
 point are written by people who save MediaPipe's landmarks as they come, and by Caliscope (``sync_index``, ``port``,
 ``frame_time``, ``point_id``, ``img_loc_x``, ``img_loc_y``), whose file has all cameras: keep the rows of one. Points
 are numbered from 0; of Caliscope's holistic tracker, whose hands begin at 100 and face at 500, only the body is read.
@@ -8,8 +9,12 @@ are numbered from 0; of Caliscope's holistic tracker, whose hands begin at 100 a
 
 from __future__ import annotations
 
+import csv
+import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -21,6 +26,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.text import numbers_of, read_text
 from rtof_kin.formats.channels import POINT_ENDINGS, PointChannels, point_part
 from rtof_kin.formats.markers import read_trc
 from rtof_kin.vision.layouts import detector_table
@@ -30,8 +36,6 @@ NO_IDENTITY: Final = -1
 _LARGEST_RELATIVE = 3.0  # coordinates of which none is larger are fractions of the image size
 _MOST_PEOPLE, _MOST_NUMBERS = 500, 2**27
 _HIGHEST_CONFIDENCE = 10.0
-_BODY_OF_WHOLE: Final = {133: 23, 136: 26}
-"""Points of a whole body (COCO's, Halpe's) -> of its body and feet, which come first."""
 
 
 @dataclass(frozen=True)
@@ -156,12 +160,16 @@ class Detections:
         return replace(self, uv_px=self.uv_px * [width_px, height_px])
 
 
-def of_body(found: Detections) -> Detections:
-    """Return detections without face and hands, where they are of a whole body; else unchanged."""
-    K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
-    if K is None:
+def of_body(found: Detections, layout: str | None = None) -> Detections:
+    """Return the points that a layout takes of a whole body's; without a layout the first one that takes points of as
+    many, so without face and hands; unchanged where there is none.
+    """
+    K = found.uv_px.shape[2]
+    forms = [form for form in detector_table().layouts.values() if layout in (None, form.name)]
+    at = next((at for form in forms for count, at in form.whole if count == K), None)
+    if at is None:
         return found
-    return replace(found.of_points(range(K)), names=None if found.names is None else found.names[:K])
+    return replace(found.of_points(at), names=None if found.names is None else tuple(found.names[i] for i in at))
 
 
 _ROWS: Final = {
@@ -177,6 +185,8 @@ _ROWS: Final = {
 _NEEDED: Final = ("frame", "point", "x", "y")
 _LARGEST_STEP: Final = 30  #: Largest difference of the numbers of points of one body, some of which may never be seen
 _HANDS, _LAST_OF_HOLISTIC = 100, 32  #: First number of hands, and last of the body, of Caliscope's holistic tracker
+_SCORER, _SLEAP_FRAME, _LONGEST_LINE = "scorer", "frame_idx", 2**20
+"""First cell of DeepLabCut's tables, a column of SLEAP's, and the characters in which they are looked for."""
 _LARGEST_METRES: Final = 50.0  #: Coordinates of markers beyond this are no metres, whatever their file says
 TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
 """Names of a column of times, and their unit, s."""
@@ -184,7 +194,11 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 
 
 def read_csv_table(path: Path) -> Detections:
-    """Read a .csv of either form; `FileFormatError` where it is unreadable, or its columns are no points."""
+    """Read a .csv of any form; `FileFormatError` where it is unreadable, or its columns are no points."""
+    with suppress(OSError, UnicodeDecodeError), path.open(encoding="utf-8-sig", newline="") as stream:
+        first = stream.readline(_LONGEST_LINE).split(",")
+        if first[0].strip() == _SCORER or _SLEAP_FRAME in map(str.strip, first):
+            return (_read_deeplabcut if first[0].strip() == _SCORER else _read_sleap_csv)(path)
     columns = read_csv(path)
     return _of_rows(path, columns) if has_rows(columns) else _of_columns(path, columns)
 
@@ -220,7 +234,7 @@ def _numbers(names: Sequence[str]) -> list[int]:
 
 def is_keypoint_header(line: str) -> bool:
     """Return whether the first line of a .csv names the columns of detected points."""
-    if has_rows(line.strip().split(",")):
+    if has_rows(cells := line.strip().split(",")) or cells[0].strip() == _SCORER or _SLEAP_FRAME in cells:
         return True
     labels = [one for one in line.split(",") if one.strip().lower() not in (*TIMES, *_NO_POINTS)]
     if None in map(point_part, labels):
@@ -277,6 +291,110 @@ def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Ar
     if not np.all(np.diff(times) > 0):
         return None
     return np.asarray(np.interp(np.arange(T), known, times))
+
+
+def _read_deeplabcut(path: Path) -> Detections:
+    """Read DeepLabCut's predictions: rows scorer, (individuals,) bodyparts, coords; then one for each frame."""
+    rows = _cells(path, "DeepLabCut's predictions as .csv")
+    heads = {cells[0].strip(): cells[1:] for cells in rows[:4]}
+    if not {"bodyparts", "coords"} <= set(heads):
+        raise FileFormatError(path, "no rows bodyparts and coords below scorer, as DeepLabCut writes them", 1)
+    begin = 4 if "individuals" in heads else 3
+    who = heads.get("individuals", [""] * len(heads["coords"]))
+    people, names = (tuple(dict.fromkeys(cells)) for cells in (who, heads["bodyparts"]))
+    frames = [_integer(path, cells[0], "the frame's number", begin + i + 1) for i, cells in enumerate(rows[begin:])]
+    parts = {"x": 0, "y": 1, "likelihood": 2}
+    values, first = _empty(path, frames, len(people), len(names)), min(frames)
+    for column, (person, name, part) in enumerate(zip(who, heads["bodyparts"], heads["coords"], strict=True), start=1):
+        if part.strip() in parts:
+            numbers = [_decimal(path, cells[column], begin + i + 1) for i, cells in enumerate(rows[begin:])]
+            at = people.index(person), names.index(name), parts[part.strip()]
+            values[(np.array(frames) - first, *at)] = numbers
+    return _of_values(values, names, identity=len(people) > 1)
+
+
+def _read_sleap_csv(path: Path) -> Detections:
+    """Read SLEAP's analysis as a table: track, frame_idx, instance.score, and x, y and score of every node."""
+    header, *rows = _cells(path, "SLEAP's analysis as .csv")
+    columns = [name.strip() for name in header]
+    names = tuple(dict.fromkeys(name[:-2] for name in columns if name.endswith(".x")))
+    if lacking := [f"{name}.y" for name in names if f"{name}.y" not in columns]:
+        raise FileFormatError(path, f"no column {lacking[0]} beside {names[0]}.x; export the analysis again", 1)
+    at = columns.index(_SLEAP_FRAME)
+    frames = [_integer(path, cells[at], _SLEAP_FRAME, i) for i, cells in enumerate(rows, start=2)]
+    track = columns.index("track") if "track" in columns else None
+    tracks, slots, count = dict[str, int](), list[int](), Counter[int]()
+    for frame, cells in zip(frames, rows, strict=True):
+        named = "" if track is None else cells[track].strip()
+        slots.append(tracks.setdefault(named, len(tracks)) if named else count[frame])
+        count[frame] += 1
+    values, first = _empty(path, frames, max(slots, default=0) + 1, len(names)), min(frames)
+    for i, cells in enumerate(rows):
+        for k, name in enumerate(names):
+            for part, ending in enumerate(("x", "y", "score")):
+                if (column := f"{name}.{ending}") in columns:
+                    number = _decimal(path, cells[columns.index(column)], i + 2)
+                    values[frames[i] - first, slots[i], k, part] = number
+    return _of_values(values, names, identity=len(tracks) > 1)
+
+
+def read_sleap_h5(path: Path) -> Detections:
+    """Read SLEAP's analysis as HDF5; `FileFormatError` where it is unreadable or another file."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            tracks = np.asarray(file["tracks"], dtype=np.float64)  # (P, 2, K, T)
+            names = tuple(one.decode() if isinstance(one, bytes) else str(one) for one in file["node_names"][()])
+            scores = np.asarray(file["point_scores"], dtype=np.float64) if "point_scores" in file else None
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise FileFormatError(path, f"not SLEAP's analysis, with tracks and node_names ({error})") from error
+    if tracks.ndim != 4 or tracks.shape[1:3] != (2, len(names)):
+        raise FileFormatError(path, f"tracks: expected shape (P, 2, {len(names)}, T), got {tracks.shape}")
+    if scores is None:
+        scores = np.isfinite(tracks).all(axis=1).astype(float)
+    if scores.shape != (len(tracks), *tracks.shape[2:]):
+        raise FileFormatError(path, f"point_scores: shape {scores.shape}, which is not that of the tracks")
+    values = np.moveaxis(np.concatenate([tracks, scores[:, None]], axis=1), (0, 1, 2, 3), (1, 3, 2, 0))
+    return _of_values(values, names, identity=len(tracks) > 1)
+
+
+def _cells(path: Path, what: str) -> list[list[str]]:
+    """Return the rows of a .csv with as many cells as the first."""
+    rows = [cells for cells in csv.reader(read_text(path, what).splitlines()) if cells]
+    for line, cells in enumerate(rows, start=1):
+        if len(cells) != len(rows[0]):
+            raise FileFormatError(path, f"expected {len(rows[0])} cells, found {len(cells)}", line)
+    return rows
+
+
+def _integer(path: Path, cell: str, what: str, line: int) -> int:
+    if not (cell.strip().isdigit() and len(cell) < 12):
+        raise FileFormatError(path, f"{cell[:40]!r} is not {what}; give the predictions of a video", line)
+    return int(cell)
+
+
+def _decimal(path: Path, cell: str, line: int) -> float:
+    return math.nan if not cell.strip() else numbers_of(path, line, [cell], 1)[0] if cell != "nan" else math.nan
+
+
+def _empty(path: Path, frames: Sequence[int], people: int, points: int) -> Array:
+    """Return (T, P, K, 3) of NaN for frames of these numbers."""
+    if not frames:
+        raise FileFormatError(path, "there is no frame")
+    T = max(frames) - min(frames) + 1
+    if 100 * len(frames) + 1000 < T or T * people * points > _MOST_NUMBERS:
+        raise FileFormatError(path, f"{T} frames of {points} points of {people} for {len(frames)} rows; number from 0")
+    return np.full((T, people, points, 3), np.nan)
+
+
+def _of_values(values: Array, names: tuple[str, ...], identity: bool) -> Detections:
+    """Return detections of x, y, likelihood (T, P, K, 3); a likelihood that is missing everywhere is 1."""
+    uv, sure = values[..., :2], values[..., 2]
+    if np.isnan(sure).all():
+        sure = np.isfinite(uv).all(axis=-1).astype(float)
+    tracks = np.tile(np.arange(uv.shape[1]), (len(uv), 1)) if identity else None
+    return Detections(uv, np.clip(np.nan_to_num(sure), 0.0, 1.0), names=names, identity=tracks)
 
 
 def read_pixel_trc(path: Path) -> Detections:

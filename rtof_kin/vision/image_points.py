@@ -1,14 +1,15 @@
 """Points of a body that keypoints show, with their places in its segments.
 
-The skeleton's landmarks are fixed in their segments. A detector's own points lie where `detector_errors`
-says, turned from the shipped skeleton's link frames to those of this rig and scaled by the length of the leg, and moved
-by what is known of the person (`SkeletonModel.with_image_points`).
-What moves them beside their segment, a second segment and the direction of view, is evaluated at known poses
-(`ImagePoints.displaced`).
+The skeleton's landmarks are fixed in their segments. A detector's own points lie where they were measured
+(``models/detector_points.toml``), or else where their layout says, turned from the shipped skeleton's link frames to
+those of this rig and scaled by the length of the leg, and moved by what is known of the person
+(`SkeletonModel.with_image_points`). What moves them beside their segment, a second segment and the direction of view,
+is evaluated at known poses (`ImagePoints.displaced`).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
@@ -26,13 +27,15 @@ from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
-from rtof_kin.vision.layouts import Layout, detector_table, mirrored
+from rtof_kin.vision.layouts import Layout, Place, detector_table, mirrored
 
 HARMONICS: Final = 8  #: Functions of the direction to the camera (`harmonics`)
 _MIRROR: Final = np.array([1.0, -1.0, 1.0])
 MIRROR_HARMONICS: Final = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """Signs of the `harmonics` where y changes its sign."""
 _LEG: Final = 0.75  #: [m] Thigh and shank of the measured places
+_CORRELATION: Final = 0.42  #: Of the errors of points next to one joint, as of an ankle's and a foot's
+_SPREAD: Final = 0.02  #: [m] By how much the place of a point errs that was not measured with its detector
 
 
 def harmonics(direction: Array) -> Array:
@@ -76,27 +79,46 @@ def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
     """Return the points of a detector's layout that are used as measurements, by name; `UnknownNameError` for
     others.
     """
-    return _shipped_points(detector_table().layout(layout))
+    return _known_points(detector_table().layout(layout))
 
 
 @lru_cache(maxsize=32)
-def _shipped_points(layout: Layout) -> Mapping[str, DetectorPoint]:
+def _known_points(layout: Layout) -> Mapping[str, DetectorPoint]:
     return read_detector_points(model_path("detector_points.toml"), layout.name)
 
 
 def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoint]:
-    """Read the points of a layout of the shipped table; `UnknownNameError` for an unknown layout."""
+    """Read the points of a layout: those of the shipped table of sizes, and those with a spread of their own;
+    `UnknownNameError` for an unknown layout.
+    """
     data, names = load_toml(path), detector_table().layout(layout).points
     places = {point.name: point for point in detector_table().points}
     measured, views = (data.get(key, {}).get(layout, {}) for key in ("measured", "view"))
     parts = {name: part for part in data["part"] for name in part["points"]}
-    found = dict[str, DetectorPoint]()
+    placed, found = detector_table().places, dict[str, DetectorPoint]()
     for name in names:
         right = name.replace("Left", "Right", 1) if name.startswith("Left") else name
-        if right in parts:
+        if name in placed:
+            part = {"size_mm": 1000 * placed[name].size, "independent": 1.0}
+            found[name] = _point(part, places[name], None, None)
+        elif right in parts:
             point = _point(parts[right], places[right], measured.get(right), views.get(right))
             found[name] = point if name == right else point.mirrored()
-    return found
+    return _beside_placed(found, placed) if placed.keys() & found.keys() else found
+
+
+def _beside_placed(found: Mapping[str, DetectorPoint], placed: Mapping[str, Place]) -> dict[str, DetectorPoint]:
+    """Return points of which some have a spread: the spread is an error too, as is the usual one of the others, whose
+    places were not measured with this detector; and there are further ones next to some joints.
+    """
+    crowd = Counter(found[name].anchor for name in found if name in placed)
+    beside, out = Counter(point.anchor for point in found.values()), dict[str, DetectorPoint]()
+    for name, point in found.items():
+        others = beside[point.anchor] - 1 if name in placed else crowd[point.anchor]
+        spread = np.sqrt(np.mean(np.square(placed[name].spread))) if name in placed else _SPREAD
+        size = float(np.hypot(point.size, spread))
+        out[name] = replace(point, size=size, independent=point.independent / (1 + others * _CORRELATION))
+    return out
 
 
 def _point(part: Mapping[str, Any], usual: Landmark, measured: Mapping[str, Any] | None, view: Any) -> DetectorPoint:

@@ -11,6 +11,8 @@ CSV                         a header of ``<point>_x``, ``<point>_y``, - ``<point
                             ``_visibility``, ``_score``; ``_u_px`` and ``_v_px`` too), or ``x0``, ``y0``,
                             ``v0``, ...; - ``time`` (s) or ``timestamp_ms``
 CSV, a row for each point   ``frame``, ``point_id``, ``x``, ``y``, - ``visibility``, - ``time``; Caliscope's
+DeepLabCut                  CSV of predictions, of one or several individuals
+SLEAP                       analysis as CSV or ``.h5``
 TRC in pixels               Sports2D's ``*_px_*.trc``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
                             - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P), - ``detector``,
@@ -19,7 +21,8 @@ NPY                         one array like that
 XDF                         one stream of channels ``<point>_x``, ``<point>_y``, - ``<point>_confidence``, px
 ==========================  ====================================================================
 
-Of a whole body (133 points of COCO, 136 of Halpe) face and hands are left out. Coordinates that are fractions
+Of a whole body (133 points of COCO, 136 of Halpe) face and hands are left out, unless a layout is asked for that has
+them. Coordinates that are fractions
 of the image need its size. Confidences are clipped to 1, and are 1 if missing.
 """
 
@@ -39,9 +42,18 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
 from rtof_kin.formats.xdf import read_xdf_points
-from rtof_kin.vision.detections import NO_IDENTITY, TIMES, Detections, Person, of_body, read_csv_table, read_pixel_trc
+from rtof_kin.vision.detections import (
+    NO_IDENTITY,
+    TIMES,
+    Detections,
+    Person,
+    of_body,
+    read_csv_table,
+    read_pixel_trc,
+    read_sleap_h5,
+)
 
-FORMATS = (".json", ".npz", ".npy", ".csv", ".trc", ".xdf")
+FORMATS = (".json", ".npz", ".npy", ".csv", ".trc", ".xdf", ".h5")
 ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")  #: Names of the array of points in an .npz
 _LARGEST_JSON = 256 * 2**20  # bytes
 _WHAT = "JSON of moderate size; write one file a frame, or .npz"
@@ -54,19 +66,22 @@ _LONGEST_TEXT = 200  # characters about the detector
 _MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
 
-def read_detector_file(path: str | Path, width_px: int | None = None, height_px: int | None = None) -> Detections:
+def read_detector_file(
+    path: str | Path, width_px: int | None = None, height_px: int | None = None, layout: str | None = None
+) -> Detections:
     """Read the detections of all people in a video.
 
     Args:
         path: a file or folder of one of the formats above.
         width_px, height_px: size of the image, for coordinates that are fractions of it.
+        layout: that is wanted of whole bodies; body and feet by default.
 
     Raises:
         FileFormatError: unknown format, damaged, or without people.
     """
     path = Path(path)
     try:
-        return of_body(_read(path)).in_pixels(width_px, height_px)
+        return of_body(_read(path), layout).in_pixels(width_px, height_px)
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
@@ -88,6 +103,8 @@ def _read(path: Path) -> Detections:
         return read_pixel_trc(path)
     if suffix == ".csv":
         return read_csv_table(path)
+    if suffix == ".h5":
+        return read_sleap_h5(path)
     arrays = {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path)
     text = np.nan_to_num(arrays.get("detector", np.zeros(0))).clip(0, 255).astype(np.uint8).tobytes()
     about = "".join(filter(str.isprintable, text.decode(errors="replace")))[:_LONGEST_TEXT]

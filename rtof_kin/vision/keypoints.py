@@ -81,7 +81,7 @@ def read_detector_keypoints(
         UnknownNameError: unknown `layout`.
     """
     path = Path(path)
-    found = read_detector_file(path, camera.width_px, camera.height_px)
+    found = read_detector_file(path, camera.width_px, camera.height_px, layout)
     try:
         times = _times(found, rate_hz) + start
         return keypoints_from_detections(found, times, camera, layout, person, frame)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
@@ -235,12 +236,53 @@ class LandmarkRegression:
         return points, confidence @ regression.weight.T * share, sigma
 
 
+_PER_METRE: Final = 2.55  #: [RMS radii] of the joints in 1 m across the line of sight, of the shipped skeleton
+_RIDGE: Final = 0.02
+"""[m] Extent of a segment's points in a direction from which on they tell a further point's place along it."""
+
+
 @lru_cache(maxsize=4)
 def _default(table: DetectorTable) -> LandmarkRegression:
-    """The regression of the distribution that ``models/build_adapters.py`` fitted to the shipped table's points."""
-    arrays = read_npz(model_path("detectors.npz"))
-    names = point_names(table, SkeletonModel.default())
-    return LandmarkRegression(table, PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"])))
+    """The regression of the distribution that ``models/build_adapters.py`` fitted to the points without a spread of
+    their own; the others are placed beside them.
+    """
+    arrays, skeleton = read_npz(model_path("detectors.npz")), SkeletonModel.default()
+    names = point_names(table.fitted, skeleton)
+    gaussian = PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))
+    return LandmarkRegression(table, _placed(gaussian, table, skeleton))
+
+
+def _placed(known: PoseGaussian, table: DetectorTable, skeleton: SkeletonModel) -> PoseGaussian:
+    """Return the distribution of known points with those that are fixed in a segment.
+
+    A point is an affine combination of the known points of its segment, as far as these extend, plus the rest r in the
+    segment's frame. Segments are seen from everywhere, so rests have mean 0 and the covariance r_i . r_j / 3 per axis
+    within a segment, to which the spread between persons is added.
+    """
+    own_points = [Landmark(own(name), *place) for name, place in skeleton.landmarks.items()]
+    offsets = dict(zip(skeleton.names, skeleton.joint_offsets, strict=True))
+    parents = {joint.name: joint.parent for joint in skeleton.table.joints}
+    ends = [Landmark(own(name), parent, offsets[name]) for name, parent in parents.items() if parent is not None]
+    points = [*own_points, *ends, *table.fitted.points]
+    further = [one for one in table.points if one.name in table.places]
+    N, M = len(known.names), len(further)
+    weights, rests = np.zeros((M, N)), np.zeros((M, len(skeleton.names), 3))
+    for row, point in enumerate(further):
+        near = [one for one in points if one.joint == point.joint]
+        q = np.array([one.offset for one in near])
+        centred = q - q.mean(axis=0)
+        gram = centred.T @ centred + _RIDGE**2 * np.eye(3)
+        w = 1 / len(near) + centred @ np.linalg.solve(gram, point.offset - q.mean(axis=0))
+        np.add.at(weights[row], [known.names.index(one.name) for one in near], w)
+        rests[row, skeleton.names.index(point.joint)] = point.offset - w @ q
+    flat = rests.reshape(M, -1)
+    spread = [np.mean(np.square(table.places[one.name].spread)) for one in further]
+    rest = _PER_METRE**2 * (flat @ flat.T / 3 + np.diag(spread))
+    both = np.kron(np.concatenate([np.eye(N), weights]), np.eye(2))
+    covariance = both @ known.covariance @ both.T
+    covariance[2 * N :, 2 * N :] += np.kron(rest, np.eye(2))
+    names = (*known.names, *(one.name for one in further))
+    return PoseGaussian(names, np.concatenate([known.mean, weights @ known.mean]), covariance, known.noise)
 
 
 def _checked(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:

@@ -84,3 +84,13 @@ def test_measurements_are_the_detectors_points_or_else_the_landmarks() -> None:
     assert measurements(seen.landmarks, BODY).names == (*BODY.names, "Nose")
     assert seen.landmarks.names == names[:2]
     assert measurements(seen, SkeletonModel.human36m()).names == SkeletonModel.human36m().names
+
+
+def test_placed_points_share_what_is_next_to_a_joint() -> None:
+    found, coco = detector_points("anatomical52"), detector_points("coco17")
+    knee, lateral = found["LeftKnee"], found["LeftKneeLateral"]
+    assert lateral.anchor == knee.anchor == "LeftLeg"
+    assert lateral.independent == knee.independent == pytest.approx(1 / (1 + 2 * 0.42))
+    assert knee.size == pytest.approx(np.hypot(coco["LeftKnee"].size, 0.02))
+    assert found["C7"].independent == 1.0
+    assert found["LeftAsis"].size < found["L2"].size

@@ -15,7 +15,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.vision.landmark_regression import ANYWHERE, LEAST_SHARE, LandmarkRegression, PoseGaussian, recognise
-from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.layouts import detector_table, own
 
 Array = NDArray[np.float64]
 REGRESSION = LandmarkRegression.default()
@@ -141,7 +141,7 @@ def test_too_few_points_and_unknown_layouts_are_refused() -> None:
 
 
 def test_the_shipped_distribution_was_fitted_to_the_points_of_the_table() -> None:
-    offsets = [point.offset for point in detector_table().points]
+    offsets = [point.offset for point in detector_table().fitted.points]
     np.testing.assert_allclose(read_npz(model_path("detectors.npz"))["offsets"], offsets, atol=1e-9)
 
 
@@ -337,3 +337,43 @@ def test_too_few_detected_points_are_refused(count: int, seen: dict[str, tuple[A
     confidence = np.where(np.arange(17) < count, 0.9, 0.0) * np.ones(uv.shape[:2])
     with pytest.raises(InvalidInputError, match=f"more than {count} of 17 points"):
         recognise(uv, confidence)
+
+
+def test_placed_points_are_predicted_as_well_as_stated() -> None:
+    """From all of the fitted points of a walk, seen exactly."""
+    known = REGRESSION.gaussian
+    table = detector_table()
+    layout = table.layout("anatomical52")
+    placed = [name for name in layout.points if name in table.places]
+    fitted = [name for name in detector_table().layout("halpe26").points]
+    given = known.given(fitted)
+    uv = points_px("halpe26", MOTION, CAMERA)
+    turn, fit = given.turned_upright(uv)
+    assert not turn.any()
+    regression = given.regression(placed)
+    found = given.estimate(regression, uv, fit.scale)
+    exact = points_px("anatomical52", MOTION, CAMERA)[:, [layout.points.index(name) for name in placed]]
+    scale = fit.scale[:, None, None]
+    error = scale * (found - exact)
+    spread = np.array([np.sqrt(np.mean(np.square(table.places[name].spread))) for name in placed])
+    stated = np.sqrt(regression.model_variance + regression.noise_variance)
+    assert np.all(stated >= 2.55 * spread * 0.99)
+    assert np.sqrt((error**2).mean()) < np.sqrt(np.mean(stated**2))  # the places are exact here
+    assert np.abs(error.mean(axis=(0, 2)) / stated).max() < 1.5
+
+
+def test_two_sides_of_a_knee_give_its_middle() -> None:
+    given = REGRESSION.gaussian.given(["LeftKneeLateral", "LeftKneeMedial", "LeftHip", "LeftAnkle"])
+    one = REGRESSION.gaussian.given(["LeftKneeLateral", "LeftHip", "LeftAnkle"])
+    knee = [own("LeftLeg")]
+    assert given.regression(knee).model_variance < 0.6 * one.regression(knee).model_variance
+
+
+def test_joints_follow_from_anatomical_points() -> None:
+    confidence = np.full((50, 52), 0.8)
+    found = REGRESSION.apply("anatomical52", points_px("anatomical52", MOTION, CAMERA), confidence)
+    before = REGRESSION.apply("coco17", *detected("coco17"))
+    trunk = [found.names.index(name) for name in ("Hips", "Spine", "Spine1", "Spine2", "Spine3")]
+    assert errors(found)[:, trunk].mean() < errors(before)[:, trunk].mean()
+    assert np.all(found.sigma_px[:, trunk] < before.sigma_px[:, trunk])
+    assert {"LeftHeel", "RightToeBase"} <= set(found.names)
