@@ -4,13 +4,16 @@ A point stands at its place in the body, which differs from person to person and
 error in the image has a part that is constant over the recording and a coloured one, both correlated over the points;
 the coloured part grows where the body hides the point. Limbs jump, left and right are exchanged, the person is lost,
 all detections are late by some frames, and the camera stands a little differently from what its calibration says.
+
+The table is of MediaPipe. The points of other layouts err as those of the table next to them (`_as_of`); a point with a
+place of its own stands there, by its spread elsewhere in each person, and its own segment can hide it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any, Final, Self
 
@@ -19,6 +22,8 @@ from numpy.random import Generator
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
+from rtof_kin.body import kinematics
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
@@ -27,8 +32,8 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.image_points import MIRROR_HARMONICS, harmonics
-from rtof_kin.vision.layouts import Layout, detector_table
+from rtof_kin.vision.image_points import MIRROR_HARMONICS, detector_points, harmonics
+from rtof_kin.vision.layouts import Layout, detector_table, mirrored
 
 # The table of a detector's errors (``models/detector_errors.toml``), for all points of both sides.
 
@@ -50,7 +55,9 @@ class Places:
     pose: Array  #: (K, 3) m
     view: Array  #: (K, 8, 3) displacement in the pelvis frame, m, by `harmonics` of the direction to the camera
     view_spread: float  #: Log-normal, of all `view` together
-    person_sd: Array  #: (G, 3) of each kind of points between persons, m
+    person: Index  #: (K,) row of `person_sd` of each point: points of one row are displaced together
+    person_sd: Array  #: (G, 3) of each kind of points, and of further points, between persons, m
+    outward: Array  #: (K, 3) direction away from the axis of `frame` of points on the skin, else zero
 
 
 @dataclass(frozen=True)
@@ -87,9 +94,15 @@ class DetectorErrorTable:
         return np.flatnonzero(np.isin(self.kind, [self.group.index(name) for name in groups]))
 
 
+def detector_error_table(layout: str | None = None) -> DetectorErrorTable:
+    """Return the shipped table, or what it is taken to be for another layout; `UnknownNameError`: no such layout."""
+    if layout is not None and layout != _table().layout.name:
+        return _as_of(detector_table().layout(layout))
+    return _table()
+
+
 @cache
-def detector_error_table() -> DetectorErrorTable:
-    """Return the shipped table."""
+def _table() -> DetectorErrorTable:
     data = load_toml(model_path("detector_errors.toml"))
     layout = detector_table().layout(data["layout"])
     group = tuple(data["group"])
@@ -113,7 +126,7 @@ def detector_error_table() -> DetectorErrorTable:
         left=left,
         mirror=mirror,
         limb=np.array(limb),
-        places=_places(data, points, left, group),
+        places=_places(data, points, left, group, kind),
         shares=np.array([row["shares"] for row in rows], dtype=float),
         amplitude=columns("amplitude"),
         visibility=columns("visibility"),
@@ -133,7 +146,9 @@ def _limb(group: str, left: bool) -> int:
     return left + (1 if group in _ARM else 3) if group in (*_ARM, *_LEG) else 0
 
 
-def _places(data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: Mask, group: Sequence[str]) -> Places:
+def _places(
+    data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: Mask, group: Sequence[str], kind: Index
+) -> Places:
     sign = np.where(left[:, None], _MIRROR_BODY, 1)
     view = np.array([point["view_mm"] for point in points]) / 1e3
     mirrored = view * MIRROR_HARMONICS[:, None] * _MIRROR_BODY
@@ -151,6 +166,8 @@ def _places(data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: 
         pose=np.array([point["pose_mm"] for point in points]) / 1e3 * sign,
         view=np.where(left[:, None, None], mirrored, view),
         view_spread=float(data["view"]["spread"]),
+        person=kind,
+        outward=np.zeros((len(points), 3)),
         person_sd=np.array([data["group"][name]["person_sd_mm"] for name in group]) / 1e3,
     )
 
@@ -165,6 +182,93 @@ def _by_view(section: Mapping[str, Any], mirror: Index) -> Covariance:
     seen = [_covariance(section[view], len(mirror)) for view in VIEWS[:3]]
     seen.append(Covariance(seen[-1].factor[mirror] * _MIRROR_IMAGE[:, None], seen[-1].rest[mirror]))
     return Covariance(np.stack([c.factor for c in seen]), np.stack([c.rest for c in seen]))
+
+
+_NEAR, _ON_SKIN = 0.02, 0.03  #: [m] Least distance of a neighbour, and of a point on the skin from its segment's axis
+
+
+@lru_cache(maxsize=8)
+def _as_of(layout: Layout) -> DetectorErrorTable:
+    """Return the table for another layout's K points: the same point of the table, or a mean of its neighbours by the
+    fourth power of their distance in the T-pose, the face for points of the head alone.
+    """
+    table, known, skeleton = _table(), detector_table(), SkeletonModel.default()
+    own, names = table.layout.points, layout.points
+    upright = np.tile(np.eye(3), (len(skeleton.names), 1, 1))
+    still = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.zeros(3), upright)
+    at = {point.name: still[skeleton.names.index(point.joint)] + point.offset for point in known.points}
+    head = [point.name for point in known.points if point.joint in ("Neck", "Head")]
+    face = table.kind == table.group.index(_RIGID)
+    weights = np.zeros((len(names), len(own)))
+    for row, name in enumerate(names):
+        if name in own:
+            weights[row, own.index(name)] = 1
+            continue
+        apart = np.linalg.norm(np.array([at[one] for one in own]) - at[name], axis=1)
+        near = np.maximum(apart, _NEAR) ** -4.0 * (face == (name in head))
+        weights[row] = near / near.sum()
+    nearest = weights.argmax(axis=1)
+    left = np.array([name.startswith("Left") for name in names])
+    other = map(mirrored, names)
+
+    def mixed(of: Covariance) -> Covariance:
+        """Variances are the neighbours' mean, the correlated part that of the neighbours' mean error."""
+        factor = np.einsum("kp,...pir->...kir", weights, of.factor)
+        total = np.einsum("kp,...pi->...ki", weights, (of.factor**2).sum(axis=-1) + of.rest**2)
+        return Covariance(factor, np.sqrt(np.maximum(total - (factor**2).sum(axis=-1), 0)))
+
+    return replace(
+        table,
+        layout=layout,
+        kind=table.kind[nearest],
+        left=left,
+        mirror=np.array([names.index(name) if name in names else k for k, name in enumerate(other)]),
+        limb=np.array([_limb(table.group[table.kind[n]], bool(side)) for n, side in zip(nearest, left, strict=True)]),
+        places=_places_of(table.places, layout, weights, nearest),
+        shares=weights @ table.shares,
+        amplitude={name: weights @ values for name, values in table.amplitude.items()},
+        visibility={name: weights @ values for name, values in table.visibility.items()},
+        constant=mixed(table.constant),
+        coloured=mixed(table.coloured),
+    )
+
+
+def _places_of(places: Places, layout: Layout, weights: Array, nearest: Index) -> Places:
+    """Return the places of a layout's points: where they were measured, or else where its table has them."""
+    placed, found, joints = detector_table().places, detector_points(layout.name), SkeletonModel.default().table.joints
+    ends, inner = {joint.name: joint.end for joint in joints}, {joint.parent for joint in joints}
+    anchor, frame, second = ([of[n] for n in nearest] for of in (places.anchor, places.frame, places.second_frame))
+    mean, pose, person = places.mean[nearest], places.pose[nearest], places.person[nearest]
+    outward, spreads, rows = np.zeros_like(mean), list(places.person_sd), dict[str, int]()
+    for k, name in enumerate(layout.points):
+        if weights[k].max() == 1:
+            continue
+        point = found[name]
+        anchor[k], frame[k], second[k] = point.anchor, point.frame, point.second
+        mean[k], pose[k] = places.leg * point.place, places.leg * point.second_place
+        if name not in placed:
+            continue
+        side = mirrored(name) if name.startswith("Left") else name
+        if side not in rows:
+            rows[side] = len(spreads)
+            spreads.append(np.array(placed[name].spread))
+        person[k] = rows[side]
+        along = np.abs(ends[point.frame]).argmax()
+        across = np.where(np.arange(3) == along, 0.0, placed[name].offset)
+        if point.frame in inner and np.linalg.norm(across) > _ON_SKIN:
+            outward[k] = so3.unit(across)
+    return replace(
+        places,
+        anchor=tuple(anchor),
+        frame=tuple(frame),
+        second_frame=tuple(second),
+        mean=mean,
+        pose=pose,
+        view=np.einsum("kp,phj->khj", weights, places.view),
+        person=person,
+        person_sd=np.array(spreads),
+        outward=outward,
+    )
 
 
 def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory: float) -> Array:
@@ -231,6 +335,7 @@ def _behind(points: Array, start: Array, stop: Array, radius: float, margin: flo
 DELAY_RATE_HZ: Final = 60.0  #: Frame rate that `DetectorErrors.delay_frames` are counted at, Hz
 _LIMBS: Final = 5
 _RIGID: Final = "face"  # kind of points that differ between persons by one displacement, not mirrored
+_AWAY: Final = 0.3  #: Cosine by which a point on the skin faces away from the camera so that its segment hides it
 _FAR, _FAR_RANGE = 0.2, 1.5  #: Unit of the depth behind the hips, m, and its largest value in that unit
 _FASTEST: Final = 3.0  # [m/s] speed beyond which errors grow no more
 _LOG_ERROR, _LEAST_ERROR = 0.03, 0.005  # [m] unit of the errors that visibility depends on, and the least
@@ -250,6 +355,7 @@ class DetectorErrors:
     camera: float = 1.0  # [-] on the error of the camera's calibration
     delay_frames: tuple[float, ...] = (1, 1, 1, 2, 2, 3)  # [frames at 60 Hz] of which one is drawn
     who: int | None = None  # Seed of the person's places; by default every recording is of another person
+    layout: str | None = None  # Points of the detector; None for those of the table
 
     @classmethod
     def none(cls) -> Self:
@@ -295,12 +401,12 @@ def simulate_detections(
         poses: motion at the instants that the frames show; an even rate is assumed.
 
     Returns:
-        One person in the table's layout, with visibility as confidence; points outside of the image included.
+        One person in the errors' layout, with visibility as confidence; points outside of the image included.
 
     Raises:
         UnknownNameError: the skeleton lacks a joint that the points are anchored at.
     """
-    table = detector_error_table()
+    table = detector_error_table(errors.layout)
     standing, person, lasting, colour, moods, jumps, swaps, seeing, losing = rng.spawn(9)
     person = person if errors.who is None else np.random.default_rng(errors.who)
     true_camera = _true_camera(standing, camera, poses.p_world_joint[:, 0].mean(axis=0), table, errors.camera)
@@ -352,7 +458,15 @@ def _scene(
     hips = skeleton.index("Hips")[0]
     R_camera_pelvis, p_hips = R_camera_bone[:, hips], p_camera_joint[:, hips]
     anchor = p_camera_joint[:, skeleton.index(*table.places.anchor)]
-    offset = _offsets(rng, R_camera_bone, R_camera_pelvis, anchor, skeleton, table, errors)
+    R_camera_place = R_camera_bone
+    if table is not _table():  # places are in the link frames of the shipped skeleton
+        R_camera_place = R_camera_bone @ shared_frames(skeleton.names, skeleton.joint_offsets)
+        shipped = SkeletonModel.default()
+        R_camera_place = R_camera_place @ np.swapaxes(shared_frames(shipped.names, shipped.joint_offsets), -1, -2)
+    offset = _offsets(rng, R_camera_place, R_camera_pelvis, anchor, skeleton, table, errors)
+    hidden = self_occluded(p_camera_joint, anchor, table.limb, skeleton)
+    outward = np.einsum("tkij,kj->tki", R_camera_place[:, skeleton.index(*table.places.frame)], table.places.outward)
+    hidden |= np.einsum("tki,tki->tk", outward, so3.unit(-anchor)) < -_AWAY
     legs = [skeleton.index(f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in ("Left", "Right")]
     bones = np.diff(poses.p_world_joint[0, legs], axis=1)
     leg = float(np.linalg.norm(bones, axis=-1).sum(axis=1).mean())  # thigh and shank together
@@ -363,7 +477,7 @@ def _scene(
         p_joint=anchor,
         p_point=anchor + leg / table.places.leg * offset,
         azimuth=np.arctan2(leftward, forward),
-        hidden=self_occluded(p_camera_joint, anchor, table.limb, skeleton),
+        hidden=hidden,
         far=np.clip((anchor[..., 2] - p_hips[:, None, 2]) / _FAR, -_FAR_RANGE, _FAR_RANGE),
         speed=np.minimum(speed, _FASTEST),
         rate_hz=poses.rate_hz,
@@ -381,7 +495,7 @@ def _offsets(
 ) -> Array:
     """Return the places (T, K, 3) from the anchors in camera axes, m, for a leg as in the table."""
     places = table.places
-    own = errors.person * (places.person_sd * rng.standard_normal(places.person_sd.shape))[table.kind]
+    own = errors.person * (places.person_sd * rng.standard_normal(places.person_sd.shape))[places.person]
     own[table.left & (table.kind != table.group.index(_RIGID)), 1] *= -1
     toward = so3.unit(-anchor) @ R_camera_pelvis
     view = errors.view * np.exp(places.view_spread * rng.standard_normal()) * places.view

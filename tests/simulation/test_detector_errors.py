@@ -10,13 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import detector_point
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_errors import (
     Covariance,
     DetectorErrors,
+    DetectorErrorTable,
     detector_error_table,
     episodes,
     ornstein_uhlenbeck,
@@ -24,6 +27,8 @@ from rtof_kin.simulation.detector_errors import (
     simulate_detections,
 )
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
+from rtof_kin.vision.image_points import image_points
+from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default().with_height(1.68)
@@ -264,3 +269,82 @@ def test_processes_and_episodes_have_their_memory_rate_and_duration() -> None:
     runs = episodes(rng, np.full(600_000, 12.0), 60.0, 0.5, 0.3)
     assert len(runs) == pytest.approx(12 * 600_000 / 3600, rel=0.1)
     assert np.median([run.stop - run.start for run in runs]) == pytest.approx(30, abs=2)
+
+
+ANATOMICAL = detector_error_table("anatomical52")
+LEG = sum(SKELETON.bone_lengths[name] for name in ("RightLeg", "RightFoot"))
+
+
+def places_of(who: int | None, seed: int = 0, **factors: float) -> Array:
+    """(52, 2) px of one standing person."""
+    errors = replace(NONE, layout="anatomical52", person=1.0, who=who)
+    return found(replace(errors, **factors), STANDING[:2], seed=seed)[0][0]
+
+
+def test_points_of_a_layout_stand_where_the_reconstruction_looks_for_them() -> None:
+    """Also on a rig with turned link frames."""
+    Q = np.tile(np.eye(3), (len(SKELETON.names), 1, 1))
+    Q[0] = so3.about_axis("y", 0.15)
+    for name, axis in (("LeftUpLeg", "x"), ("RightArm", "z")):
+        Q[SKELETON.index(name)[0]] = so3.about_axis(axis, 0.2)
+    above = Q[np.maximum(SKELETON.parents, 0)]
+    turned = SKELETON.with_offsets(np.einsum("jba,jb->ja", above, SKELETON.joint_offsets))
+    poses = replace(POSES, R_world_bone=POSES.R_world_bone @ Q)
+    errors = replace(NONE, layout="anatomical52")
+    uv = simulate_detections(np.random.default_rng(0), poses, turned, FRONT, errors).uv_px[:, 0]
+    names = ANATOMICAL.layout.points
+    seen = image_points(turned, [detector_point("anatomical52", name) for name in names])
+    exact = FRONT.project(seen.positions(poses.p_world_joint, poses.R_world_bone))
+    placed = [k for k, name in enumerate(names) if name in detector_table().places]
+    np.testing.assert_allclose(uv[:, placed], exact[:, placed], atol=1e-6)
+    assert len(placed) == 33
+
+
+def test_a_persons_points_stand_elsewhere_by_their_spread() -> None:
+    exact = found(replace(NONE, layout="anatomical52"), STANDING[:2])[0][0]
+    np.testing.assert_array_equal(places_of(7, seed=1), places_of(7, seed=2))
+    off = np.array([places_of(who) - exact for who in range(200)])
+    depth = FRONT.to_camera(STANDING.p_world_joint[0, list(SKELETON.index(*ANATOMICAL.places.anchor))])[:, 2]
+    mm = off * (depth / 1250 * 1e3)[:, None]
+    size = LEG / TABLE.places.leg
+    for name, across, up in (("RightAsis", 12, 12), ("C7", 6, 20), ("LeftKneeLateral", 8, 7)):
+        k = ANATOMICAL.layout.points.index(name)
+        np.testing.assert_allclose(mm[:, k].std(axis=0), np.multiply(size, [across, up]), rtol=0.2)
+    left, right = (ANATOMICAL.layout.points.index(f"{side}Asis") for side in ("Left", "Right"))
+    assert np.corrcoef(mm[:, left, 0], mm[:, right, 0])[0, 1] < -0.99  # people are symmetric
+    thigh, chest = (ANATOMICAL.layout.points.index(name) for name in ("LeftKneeLateral", "C7"))
+    assert abs(np.corrcoef(mm[:, thigh, 1], mm[:, chest, 1])[0, 1]) < 0.25
+
+
+def test_points_of_other_layouts_err_as_those_next_to_them() -> None:
+    coco = detector_error_table("coco17")
+    k = [TABLE.layout.points.index(name) for name in coco.layout.points]
+    np.testing.assert_array_equal(coco.coloured.factor, TABLE.coloured.factor[:, k])
+    np.testing.assert_allclose(coco.coloured.rest, TABLE.coloured.rest[:, k], atol=1e-9)
+    np.testing.assert_array_equal(coco.places.view, TABLE.places.view[k])
+    assert [TABLE.group[g] for g in coco.kind] == [TABLE.group[g] for g in TABLE.kind[k]]
+
+    def variance(table: DetectorErrorTable, name: str) -> Array:
+        k, of = table.layout.points.index(name), table.coloured
+        return np.asarray((of.factor[:, k] ** 2).sum(axis=-1) + of.rest[:, k] ** 2)
+
+    np.testing.assert_allclose(variance(ANATOMICAL, "LeftKneeLateral"), variance(TABLE, "LeftKnee"), rtol=0.02)
+    between = variance(ANATOMICAL, "T11")
+    assert np.all(between > variance(TABLE, "LeftHip").min())
+    assert np.all(between < variance(TABLE, "LeftShoulder").max())
+    assert ANATOMICAL.mirror[ANATOMICAL.layout.points.index("LeftPsis")] == ANATOMICAL.layout.points.index("RightPsis")
+    assert ANATOMICAL.mirror[ANATOMICAL.layout.points.index("T6")] == ANATOMICAL.layout.points.index("T6")
+    np.testing.assert_allclose(ANATOMICAL.shares.sum(axis=1), 1.0, atol=1e-3)
+
+
+def test_a_point_on_the_skin_is_hidden_where_its_side_faces_away() -> None:
+    names = ANATOMICAL.layout.points
+    front, behind = (
+        [names.index(n) for n in ("Sternum", "LeftAsis")],
+        [names.index(n) for n in ("T6", "C7", "LeftPsis")],
+    )
+    quiet = replace(NONE, layout="anatomical52")
+    back = Camera.looking_at(HIPS - 4.0 * FORWARD + 0.2 * UP, HIPS, 1250.0)
+    seen = {name: found(quiet, camera=camera)[1].mean(axis=0) for name, camera in (("front", FRONT), ("back", back))}
+    assert np.all(seen["front"][front] > seen["back"][front])
+    assert np.all(seen["front"][behind] < seen["back"][behind])
