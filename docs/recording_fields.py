@@ -46,6 +46,11 @@ def kind(node: dict[str, Any]) -> str:
     """What a field may be, in words."""
     if "const" in node:
         return f"`{node['const']}`"
+    if "anyOf" in node:
+        return ", ".join(map(kind, node["anyOf"]))
+    if "pattern" in node:
+        ending = node["pattern"].strip("\\$")
+        return f"a file `*{ending}`"
     if "enum" in node:
         return ", ".join(f'`"{one}"`' for one in node["enum"])
     if node["type"] == "array":

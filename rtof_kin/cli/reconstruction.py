@@ -58,7 +58,7 @@ def reconstruct(
     /,
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
-    task: Annotated[ReconstructionTask, Fields(f"mode model lift calibrate calibration figures {PERSON}")],
+    task: Annotated[ReconstructionTask, Fields(f"mode model lift layout calibrate calibration figures {PERSON}")],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,
@@ -91,6 +91,10 @@ def reconstruct(
     """
     limit_threads(threads)
     settings = solver_settings(settings, paper, task.mode, calibrate_only)
+    if task.layout is not None:
+        from rtof_kin.vision.layouts import layout_named
+
+        layout_named(task.layout)
     if calibrate_only:
         if task.subject is not None:
             raise InvalidInputError("--subject is for a reconstruction: leave out --calibrate-only, or --subject")

@@ -16,7 +16,6 @@ from rtof_kin.cli.options import (
     FetchModels,
     Fields,
     File,
-    Models,
     Output,
     Overwrite,
     Paper,
@@ -57,7 +56,7 @@ def run(
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height pose person camera_name phone_log keep_video model_dir provider",
+            "height pose person camera_name phone_log keep_video model_dir provider layout",
             rate_hz="rate",
             size_px="size",
             group="Recording",
@@ -231,7 +230,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    setup: Models,
+    setup: Annotated[SetupSettings, Fields("model_dir provider layout")],
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
@@ -248,7 +247,9 @@ def detect(
         camera_motion: estimate how the camera turned from the background, and write it
         phone_log: gyroscope and accelerometer of the phone that filmed by hand: adds the tilt to --camera-motion
     """
+    from rtof_kin.vision.detections import of_body
     from rtof_kin.vision.landmark_regression import recognise
+    from rtof_kin.vision.layouts import layout_named
     from rtof_kin.vision.video import detect_video, write_detections
 
     if output.suffix.lower() != ".npz":
@@ -258,6 +259,7 @@ def detect(
         if video.isdigit():
             raise InvalidInputError("--camera-motion needs a video file, not a webcam")
         check_new_file(camera_motion, overwrite)
+    wanted = None if setup.layout is None else layout_named(setup.layout)
     detector = detector_of(setup, fetch_models)
     with progress() as update:
         found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
@@ -272,11 +274,13 @@ def detect(
     if camera_motion is not None:
         _write_camera_motion(video, found, camera_motion, phone_log, overwrite)
     try:
-        layout = recognise(found.uv_px, found.confidence).layout
+        body = of_body(found, wanted)
+        layout = recognise(body.uv_px, body.confidence, layout=wanted).layout
     except InvalidInputError as error:
         say(f"their layout is not recognised: {error}")
         return
-    text = f'[keypoints]\nfile = "{output.name}"\nlayout = "{layout.name}"'
+    name = setup.layout or layout.name
+    text = f'[keypoints]\nfile = "{output.name}"\nlayout = "{name}"'
     say(f"{layout.title}; in recording.toml:\n{text}")
 
 

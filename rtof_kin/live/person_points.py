@@ -23,8 +23,12 @@ _LAYOUTS: Final = {
     25: "body25",
     26: "halpe26",
     33: "mediapipe33",
+    37: "spine37",
+    52: "anatomical52",
+    70: "sapiens38",
     133: "coco23",
     136: "halpe26",
+    308: "sapiens38",
 }
 """Points of a detector's person -> their layout; those of whole bodies begin with the body's."""
 _CHECKED: Final = 30  # Images with the person after which the layout is confirmed by geometry

@@ -19,10 +19,11 @@ from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.input_table import InputTable, Integer, Names, Number, Row
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.vision.layouts import OWN_LAYOUTS, is_layout_file, layout_named
 
 _PLACES: Final = {
     "Head": "forehead, on a headband",
@@ -127,8 +128,8 @@ def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, 
     return found
 
 
-DETECTORS: Final = ("mediapipe33", "coco17")
-"""Layouts of detectors that can be simulated: the measured one, and its points that COCO has too."""
+MEASURED: Final = "mediapipe33"
+"""Layout of the detector whose errors were measured; the points of others err as those next to them."""
 _PLAUSIBLE: Final = {
     "distance_m": (0.8, 30.0),
     "height_m": (0.1, 6.0),
@@ -197,7 +198,7 @@ class Protocol:
     """Places that the camera could have; None: eight directions at its distance and height."""
     any_camera: bool = False
     """Whether nothing is said about the camera's place, so that the best of the possible ones is planned."""
-    detector: str = DETECTORS[0]
+    detector: str = MEASURED  #: Layout by name, or a file of one
     error_factor: float = 1.0  #: [1] on the errors of the measured detector in the image
     wanted: tuple[str, ...] = ()  #: Clinical angles that matter; () for all
     wanted_sd_deg: float | None = None  #: [deg] standard deviation that they need
@@ -207,8 +208,8 @@ class Protocol:
         for name in ("sensors", "possible_sensors"):
             indices_of(f"sensor of {name}", getattr(self, name) or (), tuple(skeleton.sensors))
         indices_of("angle", self.wanted, [row.name for row in angle_table(skeleton.table).rows])
-        if self.detector not in DETECTORS:
-            raise UnknownNameError("detector", [self.detector], DETECTORS)
+        if (known := layout_named(self.detector)) in OWN_LAYOUTS:
+            raise InvalidInputError(f"detector: {known} are points of the skeleton; name the layout of a detector")
         ranges = {"height_m": (0.8, 2.3), "repetitions": (1, 50), "error_factor": (0.1, 10.0)}
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
@@ -228,6 +229,9 @@ class Protocol:
         movement = top.movement
         if (path.parent / movement).is_dir():
             movement = str(path.parent / movement)
+        detector = top.detector.points
+        if is_layout_file(detector):
+            detector = str((path.parent / detector).resolve())
         return cls(
             movement,
             repetitions=top.repetitions,
@@ -237,7 +241,7 @@ class Protocol:
             possible_sensors=top.sensors.possible,
             possible_cameras=top.camera.places(),
             any_camera=not {*_PLACE} & top.camera.model_fields_set,
-            detector=top.detector.points,
+            detector=detector,
             error_factor=top.detector.error_factor,
             wanted=top.wanted.angles,
             wanted_sd_deg=top.wanted.sd_deg,
@@ -312,7 +316,7 @@ class SensorsTable(InputTable):
 class DetectorTable(InputTable):
     """The detector and its errors."""
 
-    points: str = DETECTORS[0]
+    points: str = MEASURED
     error_factor: Number = 1.0
 
 

@@ -16,11 +16,10 @@ from rtof_kin.core import signals
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.measurements_file import measurements_path, read_measurements
 from rtof_kin.plan.movements import MOVEMENTS, movement
-from rtof_kin.plan.protocol import DETECTORS, Protocol, place_of
+from rtof_kin.plan.protocol import MEASURED, Protocol, place_of
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.person import Person
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -30,11 +29,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.subject import Estimate, Subject, sd_of
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.simulate import SimulationSettings, another_person, simulate
-from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.keypoints import keypoints_from_detections
-from rtof_kin.vision.layouts import detector_table
-
-_MEASURED: Final = DETECTORS[0]
+from rtof_kin.vision.layouts import layout_named
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Setup:
     skeleton: SkeletonModel  #: Of the person
     camera: Camera
     sensors: tuple[str, ...]  #: Names of the skeleton's table
-    detector: str = _MEASURED  #: One of `protocol.DETECTORS`
+    detector: str = MEASURED  #: Layout by name, or a file of one
     error_factor: float = 1.0  #: [1] on the errors in the image of the measured detector
     floor_height: float | None = None  #: [m] z of a flat floor that the recording declares; None if it declares none
     subject: Subject | None = None
@@ -71,7 +66,7 @@ class Setup:
             InvalidInputError: the person is not in the camera's view, or the movement is too short.
         """
         f = self.error_factor
-        errors = DetectorErrors(view=f, constant=f, coloured=f, jumps=f)
+        errors = DetectorErrors(view=f, constant=f, coloured=f, jumps=f, layout=layout_named(self.detector))
         errors = errors if late else replace(errors, delay_frames=(0,))
         poses = another_person(np.random.default_rng([seed, 1]), self.poses, self.skeleton)
         recording = simulate(
@@ -87,9 +82,7 @@ class Setup:
         if self.subject is not None:
             silent = recording.with_facts(joint_offsets=np.empty((0, 3)), height=self.skeleton.height)
             recording = silent.with_facts(**self._drawn(self.subject, seed).informed(silent))
-        if self.detector == _MEASURED:
-            return recording
-        return replace(recording, keypoints=_as_found_by(self.detector, recording.video))
+        return recording
 
     def _drawn(self, subject: Subject, seed: int) -> Subject:
         """Return a person's file as it may be of the person of a draw, with errors of its standard deviations."""
@@ -107,13 +100,6 @@ class Setup:
                 sd = sd_of(path, one)
                 known[path] = Estimate[Any](value=true[field][names.index(joint)] + rng.normal(0, sd, 3), sd=sd)
         return subject.with_known(known, {})
-
-
-def _as_found_by(detector: str, keypoints: KeypointSequence) -> KeypointSequence:
-    """The keypoints of a detector that finds some of the measured one's points."""
-    own = keypoints.select([detector_point(_MEASURED, point) for point in detector_table().layout(detector).points])
-    found = Detections(own.uv_px[:, None], own.confidence[:, None])
-    return keypoints_from_detections(found, keypoints.times, keypoints.camera, detector).keypoints
 
 
 def seen_share(setup: Setup) -> float:

@@ -35,7 +35,7 @@ from rtof_kin.recording.tables import (
     UncertaintyTable,
 )
 from rtof_kin.vision.keypoints import read_detector_keypoints
-from rtof_kin.vision.layouts import is_detector_point
+from rtof_kin.vision.layouts import is_detector_point, is_layout_file, layout_named
 
 _SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
 _FOCAL: Final = 0.05  # relative difference of the focal length that is remarked on
@@ -287,6 +287,8 @@ def _read_detected(table: KeypointsTable, camera: Camera, skeleton: SkeletonMode
             f"{layout!r} is for the skeleton total_capture, not {skeleton.name}; list the "
             f"names of the points in landmarks, or write {OWN_LAYOUT!r} for its joints in their order",
         )
+    if is_layout_file(layout):
+        layout = layout_named(data_path(table, field="layout"))
     person = table.person if table.person_number is None else table.person_number - 1
     found = read_detector_keypoints(
         data_path(table, or_folder=True),

@@ -226,11 +226,12 @@ class KeypointsTable(InputTable):
     """Added to all times, s."""
     landmarks: Annotated[Names, Field(examples=[["LeftArm", "Nose", ""]])] | None = None
     """Joints or landmarks of the skeleton in the order of an .npz; "" leaves a point out."""
-    layout: Annotated[str, OneOf(lambda: dict.fromkeys((OWN_LAYOUT, RECOGNISE, *detector_table().layouts)))] | None = (
-        None
-    )
-    """Instead of landmarks: all joints of the skeleton in their order, the layout of a detector, or `auto` to recognise
-    it."""
+    layout: (
+        Annotated[str, OneOf(lambda: dict.fromkeys((OWN_LAYOUT, RECOGNISE, *detector_table().layouts)), file=".toml")]
+        | None
+    ) = None
+    """Instead of landmarks: all joints of the skeleton in their order, the layout of a detector, by name or as a file
+    in the folder (docs/layouts.md), or `auto` to recognise it."""
     person_number: Count | None = None
     """Which person of a detector's file is followed, from 1, as in frames.png; the likely one by default."""
     person: Integer | None = None

@@ -44,16 +44,16 @@ from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text,
 from rtof_kin.setup.sensors import SetupSensors, sensors_by_pose, set_up_sensors
 from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
-from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.detections import Detections, of_body
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
-from rtof_kin.vision.layouts import Layout
+from rtof_kin.vision.layouts import Layout, is_layout_file, layout_named
 from rtof_kin.vision.video import detect_video
 from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
 
 KEYPOINTS: Final = "keypoints.npz"
-FINDINGS: Final = "findings.json"  #: Files of the folder beside `INDEX`, `PICTURE` and `IMUS`
+FINDINGS, LAYOUT = "findings.json", "layout.toml"  #: Files of the folder beside `INDEX`, `PICTURE` and `IMUS`
 _LEAST_SEEN: Final = 0.7  # Share of the frames below which it is said that the person is seen rarely
 _SHORTEST: Final = 5.0  # [s] of a take below which it is said that it is short
 Detect = Callable[[Path], Detections]
@@ -108,8 +108,9 @@ def find_people(
         def detect(path: Path) -> Detections:
             return detect_video(path, settings.model_dir, provider=settings.provider, progress=progress)
 
-    found = _detections(sources, video, detect)
-    known = recognise(found.uv_px, found.confidence, found.names)
+    wanted = None if settings.layout is None else layout_named(settings.layout)
+    found = _detections(sources, video, detect, wanted)
+    known = recognise(found.uv_px, found.confidence, found.names, wanted)
     found = found.of_points(known.order)
     assert found.times is not None
     people = number_people(found, found.times, video.size_px)
@@ -188,14 +189,15 @@ def _fingerprints(sources: Sources, settings: SetupSettings, made_with: object) 
     """Return what a recording is made from: its files, the picture of the people, everything."""
     image = [path for path in (sources.video, sources.keypoints) if path is not None]
     log = [settings.phone_log] if settings.phone_log is not None else []
+    own = [Path(str(settings.layout))] if is_layout_file(settings.layout) else []
     names = [one.name for one in fields(settings) if one.compare and one.name != "phone_log"]
-    seen = ("rate_hz", "size_px", "model_dir", "keep_video")
+    seen = ("rate_hz", "size_px", "model_dir", "keep_video", "layout")
     values = {name: str(getattr(settings, name)) for name in names}
     return {
         "files": fingerprint(*sources.paths),
-        "people": fingerprint(*image, *(values[name] for name in seen)),
+        "people": fingerprint(*image, *own, *(values[name] for name in seen)),
         "person": str(settings.person or 1),
-        "recording": fingerprint(*sources.paths, *log, values, str(made_with)),
+        "recording": fingerprint(*sources.paths, *log, *own, values, str(made_with)),
     }
 
 
@@ -260,6 +262,8 @@ def write_recording(
             write_camera_motion(fresh / MOTION, seen.turned)
         if sensors is not None:
             write_imus(fresh / IMUS, sensors.imus)
+        if sources.seen and is_layout_file(settings.layout):
+            shutil.copyfile(str(settings.layout), fresh / LAYOUT)
         for file, text in texts.items():
             if sources.video is not None and not settings.keep_video:
                 text = text.replace(str(sources.video), "the video").replace(sources.video.name, "the video")
@@ -291,8 +295,9 @@ def _seen(
     filmed = replace(people.detections, times=people.times)
     filming = filming_camera(sources.video, filmed, camera, settings.phone_log, progress)
     camera, turned = filming.camera, filming.motion
+    layout = None if settings.layout is None else layout_named(settings.layout)
     detected = keypoints_from_detections(
-        people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
+        people.detections, people.times, camera.camera, layout, number - 1, people.first_frame(number)
     )
     still = detected.keypoints if turned is None else stabilised(detected.keypoints, turned)
     sensors, start_utc = None, None if video.metadata is None else video.metadata.start_utc
@@ -349,12 +354,12 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
     )
 
 
-def _detections(sources: Sources, video: _Video, detect: Detect) -> Detections:
+def _detections(sources: Sources, video: _Video, detect: Detect, layout: str | None) -> Detections:
     """Return the people of a video with times."""
     if sources.keypoints is None:
         assert sources.video is not None
-        return detect(sources.video)
-    found = read_detector_file(sources.keypoints, *video.size_px)
+        return of_body(detect(sources.video), layout)
+    found = read_detector_file(sources.keypoints, *video.size_px, layout)
     if found.times is not None:
         return found
     if video.rate_hz is None:
@@ -372,7 +377,12 @@ def _keypoints(sources: Sources, settings: SetupSettings, kind: Layout, people: 
     other = "; --person takes another one" if settings.person is None and len(people) > 1 else ""
     return {
         "file": Field(KEYPOINTS, Origin.FILE, f"{source}; all people"),
-        "layout": Field(kind.name, Origin.FOUND, kind.title, by and f"{kind.title}, by {by}"),
+        "layout": Field(
+            LAYOUT if is_layout_file(settings.layout) else kind.name,
+            Origin.FOUND if settings.layout is None else Origin.GIVEN,
+            kind.title,
+            by and f"{kind.title}, by {by}",
+        ),
         "person_number": Field(number, origin, who, who + other if len(people) > 1 else ""),
         "frame": Field(people.first_frame(number), note="in which the person has that number, from 0"),
     }

@@ -31,6 +31,9 @@ class SetupSettings:
     """Gyroscope and accelerometer of the phone that filmed by hand, from which its tilt is known."""
     rate_hz: float | None = None
     """Frames per second of keypoints without times."""
+    layout: str | None = None
+    """Which points the detector finds: a layout by name, or a file (.toml) with a layout and places of its points
+    (docs/layouts.md); default: recognised."""
     size_px: tuple[int, int] | None = None
     """Width and height of the image, px, for keypoints without a video, as 1920x1080."""
     keep_video: bool = True
@@ -61,6 +64,8 @@ class ReconstructionTask:
     lift: tuple[Path, ...] = ()
     """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift;
     FILE:CONVENTION where names or number of its joints do not say which they are. May be given more than once."""
+    layout: Path | None = None
+    """A file (.toml) with the layout of points that the recording names (docs/layouts.md)."""
     calibrate: bool = False
     """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
     calibration: Path | None = None

@@ -87,14 +87,16 @@ class ArrayOf:
 
 
 class OneOf:
-    """Annotation of a text that is one of some choices."""
+    """Annotation of a text that is one of some choices, or the name of a file."""
 
-    def __init__(self, known: Callable[[], Iterable[str]]):
-        """Take the choices, which are read anew for every value."""
-        self.known = known
+    def __init__(self, known: Callable[[], Iterable[str]], file: str = ""):
+        """Take the choices, which are read anew for every value, and the ending of a file that may stand there."""
+        self.known, self._file = known, file
 
     def checked(self, value: str) -> str:
         """Return the value."""
+        if self._file and value.lower().endswith(self._file):
+            return value
         if value not in (known := [*self.known()]):
             raise PydanticCustomError("literal_error", "is no choice", {"expected": str(known)})
         return value
@@ -103,7 +105,8 @@ class OneOf:
         return core_schema.no_info_after_validator_function(self.checked, handler(str))
 
     def __get_pydantic_json_schema__(self, _: CoreSchema, __: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return {"type": "string", "enum": [*self.known()]}
+        one = {"type": "string", "enum": [*self.known()]}
+        return {"anyOf": [one, {"type": "string", "pattern": f"\\{self._file}$"}]} if self._file else one
 
 
 def _whole(value: Any) -> Any:
