@@ -543,7 +543,7 @@ def _jumps(rng: Generator, scene: _Scene, table: DetectorErrorTable, factor: flo
     share = np.where(small, numbers["small"]["factor"], 1.0)[:, None]
     for limb in numbers["limbs"]:
         points = table.points_of(limb["groups"])
-        for side in (points[table.left[points]], points[~table.left[points]]):
+        for side in filter(len, (points[table.left[points]], points[~table.left[points]])):
             often = np.where(scene.hidden[:, side].mean(axis=1) > 0.5, numbers["when_hidden"], 1.0)
             for frames in _episodes(rng, factor * limb["per_minute"] * often, scene.rate_hz, numbers):
                 size = numbers["size_mm"] / 1e3 * np.exp(numbers["size_spread"] * rng.standard_normal())
@@ -557,7 +557,8 @@ def _exchanged(rng: Generator, uv: Array, scene: _Scene, table: DetectorErrorTab
     apart = np.linalg.norm(uv - uv[:, table.mirror], axis=-1) / scene.px_per_m * 1e3
     out = uv.copy()
     for row in numbers["rates"]:
-        points = table.points_of(row["groups"])
+        if not len(points := table.points_of(row["groups"])):
+            continue
         beyond = np.maximum(apart[:, points].mean(axis=1) - numbers["near_mm"], 0)
         likely = np.sin(scene.azimuth) ** 2 * (numbers["always"] + np.exp(-beyond / numbers["near_mm"]))
         for frames in _episodes(rng, factor * row["per_minute"] * likely, scene.rate_hz, numbers):

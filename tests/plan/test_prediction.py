@@ -25,6 +25,7 @@ from rtof_kin.recording.subject import Estimate, Subject
 from rtof_kin.simulation.simulate import another_person
 from rtof_kin.solve.joint_space.covariance import confidence_of
 from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.vision import layouts
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,17 @@ def upright(skeleton: SkeletonModel) -> PoseSequence:
 
 def test_a_smaller_detector_shows_fewer_points(setup: Setup) -> None:
     assert len(replace(setup, detector="coco17").recorded(0).video.names) < len(setup.recorded(0).video.names)
+
+
+def test_a_detector_is_simulated_by_its_layout(setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = replace(setup, detector="anatomical52").recorded(0)
+    assert "anatomical52:LeftPsis" in found.video.names
+    monkeypatch.setattr(layouts.ADDED, "_added", {})
+    file = tmp_path / "belt.toml"
+    point = '[[point]]\nname = "Buckle"\njoint = "Hips"\noffset_mm = [110, 0, 60]\n'
+    names = ("nose", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "buckle")
+    file.write_text(f'{point}[[layout]]\nname = "belt"\nnames = {list(names)}\n', encoding="utf-8")
+    assert "belt:Buckle" in replace(setup, detector=str(file)).recorded(0).video.names
 
 
 def test_a_weakness_names_its_direction() -> None:

@@ -74,6 +74,8 @@ def test_a_movement_is_enough(tmp_path: Path) -> None:
         ('"L_LowLeg"]\np', '"Shin"]\np', UnknownNameError, "Shin"),
         ('"left_knee_flexion"', '"knee"', UnknownNameError, "knee"),
         ('"coco17"', '"hrnet"', UnknownNameError, "hrnet"),
+        ('"coco17"', '"joints"', InvalidInputError, "joints are points of the skeleton; name the layout of a detector"),
+        ('"coco17"', '"none.toml"', FileFormatError, "none.toml"),
         ("distance_m = 3", "distance_m = 300", InvalidInputError, "distance_m"),
         ("distance_m = 3", "distanz_m = 3", UnknownNameError, "distanz_m"),
         ("field_of_view_deg = 60", "focal_px = 26", InvalidInputError, "pixels, not mm"),

@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from detector_support import walking, watching
+from detector_support import points_px, walking, watching
 from setup_support import LAYOUT, beside, pair, walker, write_keypoints
 
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import init
 from rtof_kin.setup.init import Findings, find_people, read_findings, write_recording
 from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
+from rtof_kin.vision import layouts
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.layouts import detector_table
@@ -165,3 +166,51 @@ def test_a_discarded_video_leaves_no_name(tmp_path: Path) -> None:
     assert b"secret_patient" not in everything
     assert (tmp_path / "kept" / "frames.png").read_bytes() != (tmp_path / "discarded" / "frames.png").read_bytes()
     assert json.loads((tmp_path / "discarded" / "findings.json").read_text())["doubtful"]
+
+
+BELT = """
+[[point]]
+name = "Buckle"
+joint = "Hips"
+offset_mm = [110, 0, 60]
+
+[[layout]]
+name = "belt"
+names = ["knee_L", "ankle_L", "hip_L", "shoulder_L", "shoulder_R", "hip_R", "knee_R", "ankle_R", "belt"]
+points = { belt = "Buckle" }
+"""
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_a_layout_of_the_users_travels_with_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(layouts.ADDED, "_added", {})
+    (tmp_path / "belt.toml").write_text(BELT, encoding="utf-8")
+    name = layouts.layout_named(tmp_path / "belt.toml")
+    uv = points_px(name, walking(), watching(walking()))
+    given, folder = write_keypoints(tmp_path / "walk.npz", uv), tmp_path / "out"
+    with_layout = replace(SETTINGS, layout=str(tmp_path / "belt.toml"))
+    monkeypatch.setattr(layouts.ADDED, "_added", {})
+    set_up(folder, with_layout, given)
+    assert 'layout = "layout.toml"' in (folder / "recording.toml").read_text()
+    monkeypatch.setattr(layouts.ADDED, "_added", {})
+    recording = Recording.load(folder)
+    at = recording.video.names.index("belt:Buckle")
+    np.testing.assert_allclose(recording.video.uv_px[:, at], uv[:, -1])
+    recording.save(tmp_path / "saved")
+    monkeypatch.setattr(layouts.ADDED, "_added", {})
+    with pytest.raises(UnknownNameError, match="layout of keypoints.*'belt'"):
+        Recording.load(tmp_path / "saved")
+    layouts.layout_named(tmp_path / "belt.toml")  # as reconstruct --layout does
+    assert "belt:Buckle" in Recording.load(tmp_path / "saved").video.names
+
+
+def test_a_layout_by_name_takes_knuckles(tmp_path: Path) -> None:
+    uv = np.full((50, 133, 2), np.nan)
+    form = layouts.detector_table().layout("coco_hands31")
+    uv[:, list(dict(form.whole)[133])] = points_px(form.name, walking(), watching(walking()))
+    given = write_keypoints(tmp_path / "walk.npz", uv)
+    set_up(tmp_path / "out", replace(SETTINGS, layout="coco_hands31"), given)
+    names = Recording.load(tmp_path / "out").video.names
+    assert "coco_hands31:LeftForefinger1" in names
+    with pytest.raises(UnknownNameError, match="'coco_hand'.*Did you mean"):
+        set_up(tmp_path / "out", replace(SETTINGS, layout="coco_hand"), given)

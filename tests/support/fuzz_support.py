@@ -53,7 +53,7 @@ from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.mocap import read_corpus as read_mocap_corpus
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.layouts import detector_table
+from rtof_kin.vision.layouts import detector_table, read_layout
 
 DATA = Path(__file__).parents[1] / "fixtures"
 Files = Mapping[str, bytes]
@@ -147,6 +147,18 @@ T: [ 0.5, 1.5, 4. ]
 """
 
 
+LAYOUT = b"""[[point]]
+name = "RightCoin"
+joint = "RightUpLeg"
+offset_mm = [70, -80, -200]
+spread_mm = [10, 20, 30]
+
+[[layout]]
+name = "pockets"
+names = ["nose", "coin_R", "tape"]
+points = { tape = "LeftAsis" }
+whole = { 9 = [0, 4, 8] }
+"""
 _HALPE = detector_table().layout("halpe26").names[5:19]
 PIXEL_TRC = "\n".join(
     [
@@ -341,6 +353,19 @@ READERS = (
         b"frame,time,landmark,x,y,visibility\n0,0.0,0,151.5,212.5,0.5\n0,0.0,1,153,,0\n1,0.1,0,150,1,1\n",
         read_detector_file,
     ),
+    given(
+        "DeepLabCut",
+        "a.csv",
+        b"scorer,d,d,d\nbodyparts,hip,hip,hip\ncoords,x,y,likelihood\n0,151.5,212.5,0.5\n1,,,0\n",
+        read_detector_file,
+    ),
+    given(
+        "SLEAP",
+        "a.csv",
+        b"track,frame_idx,instance.score,hip.x,hip.y,hip.score\na,0,0.5,151.5,212.5,0.5\nb,0,1,,,0\na,1,1,1,2,1\n",
+        read_detector_file,
+    ),
+    given("layout", "a.toml", LAYOUT, read_layout),
     given("markers in pixels", "a_px.trc", PIXEL_TRC, read_detector_file),
     given("points in XDF", "a.xdf", _points_xdf, read_detector_file),
     # --- tables of this package

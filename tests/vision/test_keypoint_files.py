@@ -7,12 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from detector_support import flat
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.vision.detections import is_keypoint_header
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.layouts import detector_table
 
@@ -244,3 +246,90 @@ def test_a_folder_must_hold_numbered_json(tmp_path: Path) -> None:
 def test_what_a_file_says_of_its_detector_is_printable_and_short(array: Array, text: str, tmp_path: Path) -> None:
     np.savez(tmp_path / "p.npz", uv_px=UV, detector=array)
     assert read_detector_file(tmp_path / "p.npz").detector == text
+
+
+BODYPARTS = ("left_hip", "wing")
+TRACKED = RNG.uniform(50, 900, (3, 2, 2, 2)).round(2)  # (T, P, K, 2)
+
+
+def deeplabcut(path: Path, people: tuple[str, ...]) -> Path:
+    columns = [(who, name, part) for who in people for name in BODYPARTS for part in ("x", "y", "likelihood")]
+    heads = [["scorer", *["DLC_resnet"] * len(columns)]]
+    if len(people) > 1:
+        heads.append(["individuals", *(who for who, _, _ in columns)])
+    heads += [["bodyparts", *(name for _, name, _ in columns)], ["coords", *(part for _, _, part in columns)]]
+    rows = []
+    for t in (0, 2):  # frame 1 is missing
+        cells = [v for p in range(len(people)) for k in range(2) for v in (*TRACKED[t, p, k], 0.75)]
+        rows.append([str(t + 10), *map(str, cells)])
+    rows[1][1] = ""
+    file = path / "DLC.csv"
+    file.write_text("\n".join(",".join(row) for row in [*heads, *rows]) + "\n")
+    return file
+
+
+@pytest.mark.parametrize("people", [("",), ("ann", "bob")])
+def test_predictions_of_deeplabcut_are_read(tmp_path: Path, people: tuple[str, ...]) -> None:
+    file = deeplabcut(tmp_path, people)
+    assert is_keypoint_header(file.read_text().partition("\n")[0])
+    found = read_detector_file(file)
+    assert found.names == BODYPARTS
+    assert found.uv_px.shape == (3, len(people), 2, 2)
+    np.testing.assert_allclose(found.uv_px[0], TRACKED[0, : len(people)])
+    assert np.isnan(found.uv_px[1]).all()
+    assert np.isnan(found.uv_px[2, 0, 0]).all()
+    np.testing.assert_allclose(found.confidence[2, 0], [0, 0.75])
+    assert (found.identity is None) == (len(people) == 1)
+
+
+def sleap_csv(path: Path, track: str) -> Path:
+    head = ["track", "frame_idx", "instance.score", *(f"{n}.{part}" for n in BODYPARTS for part in ("x", "y", "score"))]
+    rows = [
+        [track.format(p), str(t + 4), "0.9", *(str(v) for k in range(2) for v in (*TRACKED[t, p, k], 0.5))]
+        for t in range(3)
+        for p in (1, 0)
+        if (t, p) != (1, 0)
+    ]
+    file = path / "sleap.csv"
+    file.write_text("\n".join(",".join(row) for row in [head, *rows]))
+    return file
+
+
+@pytest.mark.parametrize("track", ["track_{}", ""])
+def test_sleaps_analysis_is_read_as_a_table(tmp_path: Path, track: str) -> None:
+    file = sleap_csv(tmp_path, track)
+    assert is_keypoint_header(file.read_text().partition("\n")[0])
+    found = read_detector_file(file)
+    assert found.names == BODYPARTS
+    np.testing.assert_allclose(found.uv_px[0], TRACKED[0, ::-1])  # in the order of the rows
+    np.testing.assert_allclose(found.uv_px[1, 0], TRACKED[1, 1])
+    assert np.isnan(found.uv_px[1, 1]).all()
+    assert (found.identity is None) == (not track)
+
+
+def test_sleaps_analysis_is_read_as_hdf5(tmp_path: Path) -> None:
+    tracks = np.moveaxis(TRACKED, (0, 1, 2, 3), (3, 0, 2, 1)).copy()
+    tracks[0, :, 0, 1] = np.nan
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["tracks"], file["node_names"] = tracks, [name.encode() for name in BODYPARTS]
+    found = read_detector_file(tmp_path / "a.h5")
+    assert found.names == BODYPARTS
+    np.testing.assert_allclose(found.uv_px[0], TRACKED[0])
+    assert found.confidence[1, 0].tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("10,", "img10.png,", "'img10.png' is not the frame's number; give the predictions of a video"),
+        ("coords", "cords", "no rows bodyparts and coords below scorer"),
+        ("12,,", "12,x,", "line 5: expected 1 numbers, found 1, among them 'x'"),
+        ("12,,", "12,", "line 5: expected 7 cells, found 6"),
+        ("10,", "99999999,", "frames of 2 points of 1 for 2 rows; number from 0"),
+    ],
+)
+def test_damaged_predictions_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    file = deeplabcut(tmp_path, ("",))
+    file.write_text(file.read_text().replace(old, new, 1))
+    with pytest.raises(FileFormatError, match=said):
+        read_detector_file(file)
