@@ -5,8 +5,7 @@ each. The detector errs as MediaPipe does (``models/detector_errors.toml``), an 
 next to it; a person's points stand beside the places of the table by the spread, the same in all recordings of the
 person, and a point on the skin is hidden where its side faces away. The reconstruction knows the table's places alone.
 *Fixed in the body*: without MediaPipe's displacement of points by the direction of view, which nobody measured for
-another detector. *Half the errors*: half of that displacement and of the errors in the image. *Known places*: fixed in
-the body, and where the table says.
+another detector. *Half the errors*: half of that displacement and of the errors in the image.
 """
 
 from __future__ import annotations
@@ -33,11 +32,9 @@ _ANATOMICAL = DetectorErrors(layout="anatomical52")
 CASES: Final = {
     "mediapipe33": DetectorErrors(),
     "coco17": DetectorErrors(layout="coco17"),
-    "spine37": DetectorErrors(layout="spine37"),
     "anatomical52": _ANATOMICAL,
     "anatomical52, fixed in the body": replace(_ANATOMICAL, view=0.0),
     "anatomical52, half the errors": replace(_ANATOMICAL, view=0.5, constant=0.5, coloured=0.5),
-    "anatomical52, known places": replace(_ANATOMICAL, view=0.0, person=0.0),
 }
 BEFORE: Final = "coco17"
 """What a change is counted from: the points that a detector without anatomical ones shares with it."""
@@ -64,6 +61,7 @@ def rows(job: tuple[int, MocapClip]) -> list[dict[str, Any]]:
             with without_warnings(RESULT_WARNINGS):
                 result = reconstruct(recording, mode=mode)
             about = {"motion": clip.name, "rig": clip.rig, "sensors": sensors, "detector": case}
+            print(*about.values(), file=sys.stderr)
             found.append(about | {"frames": len(recording.video)} | scoring.figures(result, mode))
     return found
 

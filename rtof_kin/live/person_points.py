@@ -25,6 +25,7 @@ _LAYOUTS: Final = {
     33: "mediapipe33",
     37: "spine37",
     52: "anatomical52",
+    68: "halpe_hands34",
     70: "sapiens38",
     133: "coco23",
     136: "halpe26",
