@@ -169,14 +169,15 @@ class CameraEstimate:
         return replace(corrected(self.assumed, self.value), uncertainty=left)
 
     def deviations(self) -> list[Camera]:
-        """Return cameras, each one standard deviation from `found` along a principal axis of what remains.
+        """Return cameras, each one standard deviation from `found` along a principal axis of what remains, none lower.
 
-        Sums of squares of what differs with them are its covariance.
+        Sums of squares of what differs with them are its covariance. Of the two directions of an axis the one up is
+        taken: one standard deviation down may be below the floor.
         """
         scale = np.maximum(prior_sigma(self.assumed), 1e-12)
         values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         steps = [scale * axis * np.sqrt(v) for v, axis in zip(values, axes.T, strict=True) if v > 1e-3]
-        return [corrected(self.assumed, self.value + step) for step in steps]
+        return [corrected(self.assumed, self.value + (-step if step[HEIGHT] < 0 else step)) for step in steps]
 
     def table(self) -> list[tuple[str, str, str, str, str]]:
         """Return rows of `COLUMNS`: unknown, assumed and found with their standard deviations, verdict."""

@@ -145,3 +145,4 @@ def test_deviations_have_the_covariance_that_remains() -> None:
 
     steps = np.array([unknowns(camera) for camera in estimate.deviations()])
     np.testing.assert_allclose(steps.T @ steps, estimate.covariance, atol=3e-4 * prior_sigma(LEVEL).max())
+    assert (steps[:, 3] >= 0).all()  # no camera below the floor
