@@ -1,6 +1,6 @@
 """From raw files to a motion: what it costs that nothing is calibrated, synchronised or named.
 
-``python -m benchmarks from_raw --corpus DIR``: recordings of 20 s of held-out people and rigs, 30 images a
+``python -m benchmarks from_raw --corpus DIR --cameras 2``: recordings of 20 s of held-out people and rigs, 30 images a
 second with a simulated detector's 33 points, eight sensors at 60 Hz and none. *given* has the true camera,
 bones, clock, segments, and the sensors' usual errors of mounting and heading; *given, usual bones* has the
 person's height instead of the bones, as *raw* does: rigs put the root elsewhere (up to 10 cm), which is
