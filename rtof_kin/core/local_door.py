@@ -10,10 +10,12 @@ from __future__ import annotations
 import ipaddress
 import re
 import secrets
-from collections.abc import Mapping
+import socket
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Final
 
+from rtof_kin.core.errors import SourceError
 from rtof_kin.core.packages import optional
 
 if TYPE_CHECKING:
@@ -42,20 +44,35 @@ class Door:
 
     def answer(self, request: Request) -> Response | None:
         """Return what answers a request at the door; None lets it in, with a path that lacks the token."""
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        headers, path = request.headers, request.path.partition("?")[0]
+        upgrade = bool(headers.get_all("Upgrade"))
+        found = self.judged(path, headers.get_all("Host"), headers.get_all("Origin") if upgrade else [], upgrade)
+        if found is None:
+            request.path = f"/{path[len(self.path) :]}"
+            return None
+        status, text = found
+        if status is HTTPStatus.FOUND:
+            return response(status, "", {"Location": text, "Cache-Control": "no-store"})
+        return response(status, text)
+
+    def judged(
+        self, path: str, hosts: Sequence[str], origins: Sequence[str], upgrade: bool = False
+    ) -> tuple[HTTPStatus, str] | None:
+        """Return the status and the sentence of a refusal, or of a redirection and where it leads; None lets in.
+
+        `path`: with the token, without a query. `hosts`, `origins`: values of the headers Host and Origin. `upgrade`:
+        to a WebSocket, which the ticket does not open.
+        """
         if len(hosts) != 1 or not self._trusts(hosts[0]):
-            return response(HTTPStatus.MISDIRECTED_REQUEST, "use the address as numbers, or localhost")
-        _, _, path = request.path.partition("?")[0].partition("/")
-        key, _, rest = path.partition("/")
-        upgrade = bool(request.headers.get_all("Upgrade"))
+            return HTTPStatus.MISDIRECTED_REQUEST, "use the address as numbers, or localhost"
+        key = path.removeprefix("/").partition("/")[0]
         if self._ticket and _same(key, self._ticket) and not upgrade:
             self._ticket = ""
-            return response(HTTPStatus.FOUND, "", {"Location": self.path, "Cache-Control": "no-store"})
+            return HTTPStatus.FOUND, self.path
         if not _same(key, self._token):
-            return response(HTTPStatus.FORBIDDEN, "use the whole address that was printed")
-        if upgrade and origins and [origin.lower() for origin in origins] != [f"http://{hosts[0]}".lower()]:
-            return response(HTTPStatus.FORBIDDEN, "another page may not read here")
-        request.path = f"/{rest}"
+            return HTTPStatus.FORBIDDEN, "use the whole address that was printed"
+        if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0]}".lower()]:
+            return HTTPStatus.FORBIDDEN, "another page may not read here"
         return None
 
     def _trusts(self, host: str) -> bool:
@@ -75,6 +92,18 @@ class Door:
 
 def _same(key: str, secret: str) -> bool:
     return secrets.compare_digest(key.encode(errors="replace"), secret.encode())
+
+
+def listening(port: int) -> socket.socket:
+    """Return a socket that listens on this machine alone, at a free port if `port` is 0; `SourceError` if taken."""
+    try:
+        if not 0 <= port < 1 << 16:
+            raise OSError("a port is a number up to 65535")
+        return socket.create_server((LOOPBACK, port))
+    except OSError as error:
+        raise SourceError(
+            f"{LOOPBACK}:{port}: cannot serve there ({error}); end the other program, or give another port"
+        ) from error
 
 
 def response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:

@@ -33,8 +33,8 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError, SourceError
-from rtof_kin.core.local_door import LOOPBACK, Door, response
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.local_door import LOOPBACK, Door, listening, response
 from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import ros_header, ros_transform
@@ -243,7 +243,8 @@ class WebSocketServer:
         self._lock = threading.Lock()
         self._waiting: OnlineEstimate | None = None
         self._dropped = 0
-        self._door, self._socket = Door(), _listening(port)
+        self._door, self._socket = Door(), listening(port)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         self._root = f"http://{LOOPBACK}:{self._socket.getsockname()[1]}"
         self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
@@ -366,19 +367,6 @@ class WebSocketServer:
         if request.path != "/":
             return response(HTTPStatus.NOT_FOUND, "there is only the page")
         return response(HTTPStatus.OK, live_page(), page_headers(request.headers["Host"]))
-
-
-def _listening(port: int) -> socket.socket:
-    try:
-        if not 0 <= port < 1 << 16:
-            raise OSError("a port is a number up to 65535")
-        opened = socket.create_server((LOOPBACK, port))
-    except OSError as error:
-        raise SourceError(
-            f"{LOOPBACK}:{port}: cannot serve there ({error}); end the other program, or give another port"
-        ) from error
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-    return opened
 
 
 def _text(data: Mapping[str, Any]) -> str:

@@ -161,7 +161,7 @@ def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
     """Do the jobs that come until the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent handles Ctrl-C
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     while True:
         try:
             key, argument = connection.recv()
@@ -176,7 +176,7 @@ def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
             connection.send(Ended(key, lost=f"{type(error).__name__}: {error}"))
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process when the one that started it is no more."""
     parent = multiprocessing.parent_process()
     assert parent is not None
