@@ -16,6 +16,7 @@ ROOT = Path(__file__).parent.parent
 PICTURE = Path(__file__).with_name("architecture.svg")
 PLACES = {
     "cli": (2.5, 0, "the command line,\nthe only place that prints"),
+    "app": (0.0, 0, "people and visits\nin the browser"),
     "setup": (0.0, 1, "raw files\nto a recording"),
     "live": (2.0, 1, "pose while\nthe person moves"),
     "view": (3.0, 1, "3D scene,\nskeleton on the video"),
@@ -41,7 +42,7 @@ PLACES = {
 }
 """Folder -> column, row, what it is."""
 KINDS = {
-    "for people": ("cli", "setup", "live", "view", "protocols", "batch", "plan", "reporting", "clinical"),
+    "for people": ("cli", "app", "setup", "live", "view", "protocols", "batch", "plan", "reporting", "clinical"),
     "the method": ("reconstruction", "calibration", "lifting", "markers", "solve"),
     "its data": ("simulation", "datasets", "recording"),
     "foundations": ("inertial", "vision", "formats", "body", "data", "core"),

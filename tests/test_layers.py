@@ -35,6 +35,7 @@ FOLDERS = {
     "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",
     "batch": "many recordings",
+    "app": "people, visits and recordings in the browser",
     "cli": "the command line",
 }
 """The folders of `rtof_kin`; each imports only from itself and from those above it here."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cyclopts import App, CycloptsError
 
 COMMANDS: Final = {
+    "begin": {"app": "application"},
     "record": {"run": "record", "detect": "record", "simulate": "record"},
     "reconstruct": {"reconstruct": "reconstruction", "batch": "batch"},
     "look": {"inspect": "files", "report": "reporting", "view": "view", "overlay": "view"},
@@ -24,7 +25,7 @@ COMMANDS: Final = {
     "develop": {"train": "training", "evaluate": "evaluation"},
 }
 """What a person wants -> command -> module that has it."""
-LIMITED: Final = ("run", "reconstruct", "study", "plan", "live")
+LIMITED: Final = ("app", "run", "reconstruct", "study", "plan", "live")
 """Commands that limit the threads of the numerical libraries, as --threads says, before these are loaded."""
 OLD_COMMANDS: Final = {
     "init": "run FILE... --only recording -o FOLDER",

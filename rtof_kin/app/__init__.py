@@ -1,0 +1,1 @@
+"""The application: people, visits and recordings in a browser on this machine."""

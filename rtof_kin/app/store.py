@@ -1,0 +1,247 @@
+"""People, visits and recordings in plain folders of one workspace; the folders themselves are the index.
+
+::
+
+    WORKSPACE/                      of this user alone
+        P07/                        a person; `rtof-kin compare P07` reads it
+            subject.toml            see `rtof_kin.recording.subject`
+            2026-01-31/             a visit
+                walk/               a recording: what `rtof-kin run files/* -o walk` writes
+                    files/          as they were dropped
+                    take.json       state, and what the files do not say; written anew where it is missing
+        .trash/ID/                  what was deleted, and the place where it was
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import time
+from datetime import date
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+
+from rtof_kin.app.texts import TEXTS
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError
+from rtof_kin.core.files.manifest import make_folders, make_private
+from rtof_kin.core.files.text import read_text, write_text
+from rtof_kin.recording.subject import Subject, read_subject, write_subject
+from rtof_kin.reporting.audit_results import Grade, headline
+from rtof_kin.reporting.page import PAGE
+from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+from rtof_kin.setup.init import read_findings
+from rtof_kin.setup.run import MOTION, RECORDING
+from rtof_kin.setup.sources import Sources
+
+FILES: Final = "files"
+SUBJECT: Final = "subject.toml"
+_TAKE, _TRASH, _ITEM, _ORIGIN = "take.json", ".trash", "item", "origin.txt"
+_NAME: Final = re.compile(r"\w[\w-]{0,63}")
+_RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_NO_FILE: Final = re.compile(r"[\\/:*?\"<>|]|^[.\s-]|[.\s]$")
+_LONGEST: Final = 200  # [bytes] of the name of a file
+_KINDS: Final = ("person", "visit", "recording")
+
+
+class State(Enum):
+    """State of a recording."""
+
+    DRAFT = "draft"
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    ATTENTION = "needs attention"
+    FAILED = "failed"
+
+
+AT_WORK: Final = (State.WAITING, State.RUNNING)
+
+
+class Take(BaseModel, frozen=True):
+    """What is known of a recording beside its files."""
+
+    state: State = State.DRAFT
+    asked: float = 0.0  #: [s] since 1970, when the reconstruction was asked for
+    said: str = ""  #: Why it failed
+    size_px: tuple[int, int] | None = None  #: Of the image, for keypoints without a video
+    person: int | None = None  #: Number in the picture of the people; None: the only prominent one
+    rate_hz: float | None = None  #: Of keypoints without times
+    seconds: dict[str, float] = {}  #: How long each stage took, s, in their order
+
+
+class Store:
+    """The workspace. Names that could lead elsewhere are refused by `InvalidInputError`."""
+
+    def __init__(self, root: str | Path):
+        """Open a folder, which is made, or kept, for this user alone; `RtofError` where it cannot be."""
+        self.root = Path(root).expanduser().resolve()
+        try:
+            make_folders(self.root)
+            make_private(self.root)
+            make_folders(self.root / _TRASH)
+        except OSError as error:
+            raise RtofError(f"{self.root}: cannot be a workspace ({error}); name another folder") from error
+
+    def path(self, *names: str) -> Path:
+        """Return the folder of a person, of a visit or of a recording, which is there."""
+        path = self._place(*names)
+        if not path.is_dir():
+            raise InvalidInputError(TEXTS.not_there.format(kind=_KINDS[len(names) - 1], name=names[-1]))
+        return path
+
+    def names(self, *above: str) -> list[str]:
+        """Return the people, the visits of a person (the latest first), or the recordings of a visit."""
+        folder = self.path(*above) if above else self.root
+        found = [one.name for one in folder.iterdir() if one.is_dir() and not one.is_symlink() and _is_name(one.name)]
+        return sorted(found, key=str.casefold, reverse=len(above) == 1)
+
+    def takes(self, *people: str) -> list[Path]:
+        """Return the folders of all recordings, of some people."""
+        visits = [(person, visit) for person in people or self.names() for visit in self.names(person)]
+        return [self.path(*visit, name) for visit in visits for name in self.names(*visit)]
+
+    def add_person(self, person: str, height: float | None) -> None:
+        """Make a person. `height`: standing, m; every length follows it."""
+        path = self._place(person)
+        if height is None or not 0.4 < height < 2.6:
+            raise InvalidInputError(TEXTS.no_height)
+        self._make(path)
+        try:
+            known = {"subject": person, "height_m": {"value": round(height, 3)}}
+            write_subject(path / SUBJECT, Subject.of(known, path / SUBJECT))
+        except RtofError:
+            path.rmdir()
+            raise
+
+    def subject(self, person: str) -> Subject:
+        """Read what is known of a person."""
+        return read_subject(self.path(person) / SUBJECT)
+
+    def add_visit(self, person: str, day: str) -> None:
+        """Make a visit. `day`: as 2026-01-31."""
+        try:
+            name = date.fromisoformat(day).isoformat()
+        except ValueError as error:
+            raise InvalidInputError(TEXTS.no_day.format(day=day)) from error
+        self.path(person)
+        self._make(self._place(person, name))
+
+    def add_take(self, person: str, visit: str, name: str) -> Path:
+        """Make a recording without files and return its folder."""
+        self.path(person, visit)
+        path = self._place(person, visit, name)
+        self._make(path)
+        make_folders(path / FILES)
+        return path
+
+    # --- a recording ---------------------------------------------------------------------------------------
+
+    def take(self, folder: Path) -> Take:
+        """Read the state of a recording; where it is missing or damaged, the files tell it."""
+        try:
+            return Take.model_validate_json(read_text(folder / _TAKE, "JSON"))
+        except (FileFormatError, ValidationError):
+            return Take(state=verdict(folder) if (folder / PAGE).is_file() else State.DRAFT)
+
+    def change(self, folder: Path, **values: Any) -> Take:
+        """Change the state of a recording and return it."""
+        take = self.take(folder).model_copy(update=values)
+        write_text(folder / _TAKE, take.model_dump_json(indent=1) + "\n", overwrite=True)
+        return take
+
+    @staticmethod
+    def files(folder: Path) -> list[Path]:
+        """Return the files of a recording."""
+        found = (folder / FILES).iterdir() if (folder / FILES).is_dir() else ()
+        return sorted(path for path in found if path.is_file() and not path.is_symlink() and path.name[0] != ".")
+
+    def sources(self, folder: Path) -> Sources:
+        """Recognise the files; errors of `Sources.of`, and `InvalidInputError` where there is nothing to see."""
+        found = Sources.of(self.files(folder))
+        if not (found.seen or found.sensors):
+            raise InvalidInputError(TEXTS.nothing_recorded)
+        return found
+
+    def new_file(self, folder: Path, name: str) -> Path:
+        """Return where a file that is dropped goes; refuses hostile names and one that is there."""
+        long = len(name.encode(errors="replace")) > _LONGEST
+        if long or not name.isprintable() or _NO_FILE.search(name) or not name or _RESERVED.fullmatch(name):
+            raise InvalidInputError(TEXTS.bad_file_name.format(name=repr(name[:60])))
+        make_folders(folder / FILES)
+        path = folder / FILES / name
+        if path.exists():
+            raise OutputExistsError(TEXTS.file_exists.format(name=name))
+        return path
+
+    # --- the trash -----------------------------------------------------------------------------------------
+
+    def delete(self, *names: str) -> str:
+        """Move a person, a visit or a recording to the trash and return the key there."""
+        path = self.path(*names)
+        key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}"
+        slot = self.root / _TRASH / key
+        make_folders(slot)
+        write_text(slot / _ORIGIN, "/".join(names))
+        path.rename(slot / _ITEM)
+        return key
+
+    def trash(self) -> dict[str, tuple[str, ...]]:
+        """Return what is in the trash, the latest first: its key, and the names that lead to it."""
+        slots = sorted((self.root / _TRASH).iterdir(), reverse=True)
+        return {
+            slot.name: tuple((slot / _ORIGIN).read_text(encoding="utf-8").split("/"))
+            for slot in slots
+            if (slot / _ORIGIN).is_file() and (slot / _ITEM).is_dir()
+        }
+
+    def restore(self, key: str) -> None:
+        """Take something back; refused while its place is taken, or what it belongs to is not there."""
+        names = self.trash().get(key)
+        if names is None:
+            raise InvalidInputError(TEXTS.not_in_trash)
+        if names[:-1]:
+            self.path(*names[:-1])
+        place = self._place(*names)
+        if place.exists():
+            raise OutputExistsError(TEXTS.exists.format(name=names[-1]))
+        (self.root / _TRASH / key / _ITEM).rename(place)
+        shutil.rmtree(self.root / _TRASH / key)
+
+    def _place(self, *names: str) -> Path:
+        """Return where something is, or would be; no name leads out of the workspace."""
+        path = self.root
+        for name in names:
+            if not _is_name(name):
+                raise InvalidInputError(TEXTS.bad_name.format(name=repr(name[:60])))
+            path /= name
+            if path.is_symlink():
+                raise InvalidInputError(TEXTS.is_link.format(name=name))
+        if not 1 <= len(names) <= len(_KINDS):
+            raise InvalidInputError(TEXTS.bad_name.format(name=repr("/".join(names)[:60])))
+        return path
+
+    def _make(self, path: Path) -> None:
+        try:
+            path.mkdir(mode=0o700)
+        except FileExistsError as error:
+            raise OutputExistsError(TEXTS.exists.format(name=path.name)) from error
+        except OSError as error:
+            raise RtofError(TEXTS.not_written.format(error=error)) from error
+
+
+def verdict(folder: Path) -> State:
+    """Return whether the result of a recording needs attention: something warns, or is in doubt."""
+    try:
+        grade = headline(read_summary(folder / MOTION / SUMMARY).results or ()).grade
+        doubtful = grade in (Grade.WARN, Grade.FAIL) or read_findings(folder / RECORDING).doubtful
+    except RtofError:
+        doubtful = True
+    return State.ATTENTION if doubtful else State.DONE
+
+
+def _is_name(name: str) -> bool:
+    return _NAME.fullmatch(name) is not None and _RESERVED.fullmatch(name) is None

@@ -1,0 +1,91 @@
+"""All texts of the application in English; another language is another `Texts`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class Texts:
+    """The catalogue. Names in braces are filled in."""
+
+    title: str = "rtof-kin"
+    # store
+    bad_name: str = "{name}: use 1 to 64 letters, digits, - and _, and begin with a letter or digit"
+    bad_file_name: str = "{name}: a file of this name is not taken; rename it to letters, digits, - and _"
+    is_link: str = "{name}: is a link; the workspace has folders only"
+    not_there: str = "There is no {kind} {name}"
+    exists: str = "{name}: is there already; choose another name"
+    file_exists: str = "{name}: is there already; remove it first"
+    not_written: str = "This cannot be written ({error}); free some space, or choose another workspace"
+    not_in_trash: str = "This is no longer in the trash"
+    no_height: str = "Give the height in centimetres, between 40 and 260: every length follows it"
+    no_day: str = "{day!r} is no day; write it as 2026-01-31"
+    nothing_recorded: str = "Add a video, a detector's keypoints, or files of sensors"
+    # people and visits
+    people: str = "People"
+    no_people: str = "Nobody is here yet. Add the first person by an identifier, not by a name."
+    identifier: str = "Identifier (no name)"
+    height: str = "Standing height in cm"
+    add_person: str = "Add person"
+    visits: str = "Visits"
+    date: str = "Date of the visit, as 2026-01-31"
+    add_visit: str = "Add visit"
+    recording: str = "Name of the recording, as walk"
+    add_recording: str = "Add recording"
+    of_height: str = "{height:.0f} cm tall"
+    # trash
+    delete: str = "Move {name} to the trash"
+    deleted: str = "{name} is in the trash"
+    at_work: str = "A reconstruction is running here; cancel it first"
+    trash: str = "Trash"
+    empty_trash: str = "The trash is empty."
+    restore: str = "Take {name} back"
+    # a recording
+    files: str = "1. Files"
+    drop: str = "Drop video and sensor files here, or press +"
+    remove: str = "Remove {name}"
+    unknown: str = "not recognised"
+    ready: str = "Ready: {parts}."
+    without_image: str = "without a camera: the person stands still for some seconds at first"
+    width_px: str = "Width of the image in px"
+    height_px: str = "Height of the image in px"
+    rate: str = "Frames per second, if not in the keypoints"
+    who: str = "Who was seen"
+    number: str = "Number of the person, if several"
+    size_needed: str = "Keypoints do not say how large the image is: give it, or add the video"
+    reconstruct_title: str = "2. Reconstruction"
+    reconstruct: str = "Reconstruct"
+    again: str = "Reconstruct again"
+    cancel: str = "Cancel"
+    waiting: str = "{count} before this one"
+    starting: str = "starting"
+    left: str = "about {time} left"
+    finishing: str = "angles and report"
+    lost: str = "The reconstruction ended without an answer ({how}); is there too little memory?"
+    findings: str = "What was found"
+    result: str = "3. Result"
+    no_file: str = "There is no such file yet"
+    report: str = "Open the report in a new tab"
+    kinds: tuple[tuple[str, str], ...] = (
+        ("given", "given"),
+        ("file", "from the files"),
+        ("found", "found"),
+        ("assumed", "assumed"),
+        ("doubtful", "in doubt"),
+    )
+    stages: tuple[tuple[str, str], ...] = (  # as `run` reports them
+        ("detect", "finding the person in the video"),
+        ("camera", "where the camera is"),
+        ("lift", "from image to space"),
+        ("sensors", "where the sensors are"),
+        ("calibrate", "calibration from the motion"),
+        ("rto", "solving the motion by the image"),
+        ("rtof", "solving the motion by image and sensors"),
+        ("imu", "solving the motion by the sensors"),
+        ("certificate", "checking by left-out sensors"),
+    )
+
+
+TEXTS: Final = Texts()

@@ -1,0 +1,135 @@
+"""The queue of reconstructions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from setup_support import pair, write_keypoints
+
+from rtof_kin.app import work as module
+from rtof_kin.app.store import AT_WORK, State, Store
+from rtof_kin.app.work import Stages, Work
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+
+
+def until(holds: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path)
+    store.add_person("P07", 1.73)
+    store.add_visit("P07", "2026-01-31")
+    for name in ("first", "second"):
+        folder = store.add_take("P07", "2026-01-31", name)
+        store.new_file(folder, "walk.mp4").write_bytes(b"\0\0\0\x14ftypqt  damaged")
+    return store
+
+
+@pytest.fixture
+def work(store: Store) -> Iterator[Work]:
+    work = Work(store)
+    yield work
+    work.close()
+
+
+def test_a_recording_without_files_or_with_foreign_ones_is_not_taken(store: Store, work: Work) -> None:
+    folder = store.add_take("P07", "2026-01-31", "third")
+    with pytest.raises(InvalidInputError, match="Add a video"):
+        work.ask(folder)
+    store.new_file(folder, "notes.txt").write_text("milk")
+    with pytest.raises(FileFormatError, match="nothing that is known"):
+        work.ask(folder)
+    assert store.take(folder).state is State.DRAFT
+
+
+def test_a_damaged_video_fails_with_a_sentence_and_the_next_one_is_tried(store: Store, work: Work) -> None:
+    first, second = store.takes()
+    work.ask(first)
+    work.ask(second)
+    work.ask(second)
+    assert work.busy(store.path("P07"))
+    until(lambda: store.take(second).state is State.FAILED)
+    assert store.take(first).state is State.FAILED
+    assert "walk.mp4" in store.take(first).said
+    assert not work.busy(store.path("P07"))
+
+
+@pytest.mark.slow
+def test_of_two_people_one_is_chosen_by_the_picture(store: Store, work: Work) -> None:
+    folder = store.add_take("P07", "2026-01-31", "third")
+    write_keypoints(store.new_file(folder, "keypoints.npz"), *pair())
+    store.change(folder, size_px=(1920, 1080))
+    work.ask(folder)
+    until(lambda: store.take(folder).state is State.FAILED)
+    assert "people" in store.take(folder).said
+    assert (folder / "recording" / "frames.png").is_file()
+    store.change(folder, person=2)
+    work.ask(folder)
+    until(lambda: store.take(folder).state not in AT_WORK, 240)
+    assert store.take(folder).said == ""
+    assert "person_number = 2" in (folder / "recording" / "recording.toml").read_text()
+    assert (folder / "report.html").is_file()
+
+
+def endless(_: str, __: Any, sender: Any) -> None:
+    sender.send(("lift", 0, 2))
+    time.sleep(120)
+
+
+def test_cancelled_is_a_draft_and_closed_goes_on_with_the_next_server(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_reconstruct", endless)
+    first, second = store.takes()
+    work = Work(store)
+    work.ask(first)
+    work.ask(second)
+    until(lambda: (found := work.stages(first)) is not None and "lift" in found.done)
+    assert work.before(second) == 1
+    work.cancel(first)
+    until(lambda: work.stages(second) is not None)
+    work.close()
+    assert [store.take(path).state for path in (first, second)] == [State.DRAFT, State.RUNNING]
+    again = Work(store)
+    until(lambda: again.stages(second) is not None)
+    again.cancel(second)
+    again.close()
+    assert store.take(second).state is State.DRAFT
+
+
+def gone(_: str, __: Any, ___: Any) -> None:
+    raise SystemExit(3)
+
+
+def test_a_process_that_ends_without_an_answer_is_said(
+    store: Store, work: Work, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_reconstruct", gone)
+    work.ask(first := store.takes()[0])
+    until(lambda: store.take(first).state is State.FAILED)
+    assert "exit code 3" in store.take(first).said
+
+
+def test_time_left_is_of_this_stage_and_of_the_later_ones_of_an_earlier_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    alone, known = Stages({}), Stages({"detect": 10.0, "lift": 4.0, "rto": 6.0})
+    assert (alone.left, known.left) == (None, 20.0)
+    for step in (0, 1, 2):
+        for stages in (alone, known):
+            stages.report("detect", step, 4)
+        now[0] += 10.0
+    assert alone.left == pytest.approx(20.0)
+    assert known.left == pytest.approx(20.0 + 10.0)
+    known.report("detect", 4, 4)
+    known.report("lift", 0, 1)
+    assert known.left == pytest.approx(3.0 * (4.0 + 6.0))  # three times as slow
