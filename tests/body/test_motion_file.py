@@ -188,7 +188,7 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
         ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
         ("names", np.array(["Hips"] * 21), "Hips"),
         ("dof_names", np.array(["a"]), "dof_names: are not those"),
-        ("mode", np.array({"code": print}, dtype=object), "mode: has type object"),
+        ("mode", np.array({"code": len}, dtype=object), "mode: has type object"),
     ],
 )
 def test_invalid_array_is_refused_with_the_file(path: Path, name: str, value: Any, message: str) -> None:
