@@ -44,6 +44,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.world_axes import METRES, UP
 from rtof_kin.markers.marker_sets import places_of
 from rtof_kin.reconstruction.lift import JOINT, Lifted
+from rtof_kin.vision.layouts import mirrored
 from rtof_kin.vision.lift_points import LiftPoints, convention, recognised, usual_errors
 
 _DELAYS: Final = np.arange(-12, 13) * 0.04  #: [s] by which the clock may differ from the video's
@@ -132,11 +133,7 @@ def external(
     turned = _turned(R, p, shown, skeleton)
     positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
     sigma_own = _relative_sigma(own)
-    known: Mask = np.asarray(np.isfinite(shown).all(axis=-1))
-    hips: Mask = np.asarray(known[:, skeleton.index("LeftUpLeg", "RightUpLeg")].all(axis=1))
-    known = known & hips[:, None]
-    trunk: Mask = np.asarray(hips & known[:, skeleton.index("LeftArm", "RightArm")].all(axis=1))
-    known[:, [0, *skeleton.index(*SPINE, "Neck")]] = trunk[:, None]
+    known = _known(shown, skeleton)
     difference = _by_ray(positions - p, p, video.camera)
     ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.nan
     least = np.maximum(np.maximum(_LEAST, usual), _spread_of_joints(joints, spread, len(skeleton.names)))
@@ -165,14 +162,26 @@ def _sides_mended(shown: Array, p: Array, skeleton: SkeletonModel) -> tuple[Arra
     out, wrong = shown.copy(), np.zeros(len(shown), dtype=bool)
     hips = skeleton.index("LeftUpLeg", "RightUpLeg")
     seen, own = (v - v[:, hips].mean(axis=1, keepdims=True) for v in (shown, p))
-    for chain in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand")):
-        left, right = (skeleton.index(*(side + joint for joint in chain)) for side in ("Left", "Right"))
-        there, other = [*left, *right], [*right, *left]
+    for limb in kinematics.LIMBS[:2]:  # of the left side
+        there = skeleton.index(*limb, *map(mirrored, limb))
+        other = there[3:] + there[:3]
         straight, crossed = (np.linalg.norm(seen[:, j] - own[:, there], axis=-1).sum(axis=1) for j in (there, other))
         mended = crossed < _CROSSED * straight  # not where a joint is missing
         out[np.ix_(mended, there)] = shown[np.ix_(mended, other)]
         wrong |= mended
     return out, float(wrong.mean())
+
+
+def _known(shown: Array, skeleton: SkeletonModel) -> Mask:
+    """Return which joints (T, J) are known by those that are shown (T, J, 3): none without the hips, those of the trunk
+    by hips and shoulders.
+    """
+    known: Mask = np.asarray(np.isfinite(shown).all(axis=-1))
+    hips: Mask = np.asarray(known[:, skeleton.index("LeftUpLeg", "RightUpLeg")].all(axis=1))
+    known = known & hips[:, None]
+    trunk: Mask = np.asarray(hips & known[:, skeleton.index("LeftArm", "RightArm")].all(axis=1))
+    known[:, [0, *skeleton.index(*SPINE, "Neck")]] = trunk[:, None]
+    return known
 
 
 def _size(sigma: Array) -> float:

@@ -23,7 +23,6 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
@@ -32,15 +31,15 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.image_points import MIRROR_HARMONICS, detector_points, harmonics
-from rtof_kin.vision.layouts import Layout, detector_table, mirrored
+from rtof_kin.vision.image_points import MIRROR_HARMONICS, detector_points, harmonics, link_turns
+from rtof_kin.vision.layouts import MIRROR, Layout, detector_table, mirrored
 
 # The table of a detector's errors (``models/detector_errors.toml``), for all points of both sides.
 
 VIEWS = ("front", "back", "left", "right")  #: Where a camera stands that sees a covariance of coloured errors
 _NUMBERS = ("amplitude", "visibility", "exchanges", "jumps", "lost", "camera")
 _ARM, _LEG = ("shoulder", "elbow", "wrist", "hand"), ("knee", "ankle", "foot")
-_MIRROR_BODY, _MIRROR_IMAGE = np.array([1, -1, 1]), np.array([-1, 1])
+_MIRROR_IMAGE = np.array([-1, 1])
 
 
 @dataclass(frozen=True)
@@ -149,9 +148,9 @@ def _limb(group: str, left: bool) -> int:
 def _places(
     data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: Mask, group: Sequence[str], kind: Index
 ) -> Places:
-    sign = np.where(left[:, None], _MIRROR_BODY, 1)
+    sign = np.where(left[:, None], MIRROR, 1)
     view = np.array([point["view_mm"] for point in points]) / 1e3
-    mirrored = view * MIRROR_HARMONICS[:, None] * _MIRROR_BODY
+    mirrored = view * MIRROR_HARMONICS[:, None] * MIRROR
 
     def joints(field: str) -> tuple[str, ...]:
         names = zip((point[field] for point in points), left, strict=True)
@@ -460,9 +459,7 @@ def _scene(
     anchor = p_camera_joint[:, skeleton.index(*table.places.anchor)]
     R_camera_place = R_camera_bone
     if table is not _table():  # places are in the link frames of the shipped skeleton
-        R_camera_place = R_camera_bone @ shared_frames(skeleton.names, skeleton.joint_offsets)
-        shipped = SkeletonModel.default()
-        R_camera_place = R_camera_place @ np.swapaxes(shared_frames(shipped.names, shipped.joint_offsets), -1, -2)
+        R_camera_place = R_camera_bone @ link_turns(skeleton)
     offset = _offsets(rng, R_camera_place, R_camera_pelvis, anchor, skeleton, table, errors)
     hidden = self_occluded(p_camera_joint, anchor, table.limb, skeleton)
     outward = np.einsum("tkij,kj->tki", R_camera_place[:, skeleton.index(*table.places.frame)], table.places.outward)

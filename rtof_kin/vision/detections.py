@@ -1,10 +1,10 @@
 """`Detections`: the keypoints of all people that a detector found in a video, in the detector's layout.
 
 Keypoints in tables: columns for each point, a row for each point of each frame, DeepLabCut's and SLEAP's, or markers in
-pixels. Rows for each
-point are written by people who save MediaPipe's landmarks as they come, and by Caliscope (``sync_index``, ``port``,
-``frame_time``, ``point_id``, ``img_loc_x``, ``img_loc_y``), whose file has all cameras: keep the rows of one. Points
-are numbered from 0; of Caliscope's holistic tracker, whose hands begin at 100 and face at 500, only the body is read.
+pixels. Rows for each point are written by people who save MediaPipe's landmarks as they come, and by Caliscope
+(``sync_index``, ``port``, ``frame_time``, ``point_id``, ``img_loc_x``, ``img_loc_y``), whose file has all cameras: keep
+the rows of one. Points are numbered from 0; of Caliscope's holistic tracker, whose hands begin at 100 and face at 500,
+only the body is read.
 """
 
 from __future__ import annotations
@@ -375,7 +375,7 @@ def _integer(path: Path, cell: str, what: str, line: int) -> int:
 
 
 def _decimal(path: Path, cell: str, line: int) -> float:
-    return math.nan if not cell.strip() else numbers_of(path, line, [cell], 1)[0] if cell != "nan" else math.nan
+    return math.nan if cell == "nan" or not cell.strip() else numbers_of(path, line, [cell], 1)[0]
 
 
 def _empty(path: Path, frames: Sequence[int], people: int, points: int) -> Array:

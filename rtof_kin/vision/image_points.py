@@ -27,10 +27,9 @@ from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
-from rtof_kin.vision.layouts import Layout, Place, detector_table, mirrored
+from rtof_kin.vision.layouts import MIRROR, Layout, Place, detector_table, mirrored
 
 HARMONICS: Final = 8  #: Functions of the direction to the camera (`harmonics`)
-_MIRROR: Final = np.array([1.0, -1.0, 1.0])
 MIRROR_HARMONICS: Final = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """Signs of the `harmonics` where y changes its sign."""
 _LEG: Final = 0.75  #: [m] Thigh and shank of the measured places
@@ -69,9 +68,9 @@ class DetectorPoint:
             anchor=mirrored(self.anchor),
             frame=mirrored(self.frame),
             second=mirrored(self.second),
-            place=self.place * _MIRROR,
-            second_place=self.second_place * _MIRROR,
-            view=self.view * MIRROR_HARMONICS[:, None] * _MIRROR,
+            place=self.place * MIRROR,
+            second_place=self.second_place * MIRROR,
+            view=self.view * MIRROR_HARMONICS[:, None] * MIRROR,
         )
 
 
@@ -220,7 +219,7 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     (`measurements`).
     """
     known = {name: point for name in names if (point := _measurement(name)) is not None}
-    leg, turns = (_leg(skeleton), _turns(skeleton)) if known else (1.0, np.eye(3)[None])
+    leg, turns = (_leg(skeleton), link_turns(skeleton)) if known else (1.0, np.eye(3)[None])
     points = []
     for name in names:
         if name not in known:
@@ -277,8 +276,8 @@ def _leg(skeleton: SkeletonModel) -> float:
     return float(sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2)
 
 
-def _turns(skeleton: SkeletonModel) -> Array:
-    """(J, 3, 3) from the link frames of the shipped skeleton to those of this rig."""
+def link_turns(skeleton: SkeletonModel) -> Array:
+    """Return rotations (J, 3, 3) from the link frames of the shipped skeleton to those of this rig."""
     own, shipped = (shared_frames(s.names, s.joint_offsets) for s in (skeleton, _shipped()))
     return np.asarray(own @ np.swapaxes(shipped, -1, -2))
 

@@ -22,8 +22,7 @@ XDF                         one stream of channels ``<point>_x``, ``<point>_y``,
 ==========================  ====================================================================
 
 Of a whole body (133 points of COCO, 136 of Halpe) face and hands are left out, unless a layout is asked for that has
-them. Coordinates that are fractions
-of the image need its size. Confidences are clipped to 1, and are 1 if missing.
+them. Coordinates that are fractions of the image need its size. Confidences are clipped to 1, and are 1 if missing.
 """
 
 from __future__ import annotations

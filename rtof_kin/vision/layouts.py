@@ -29,6 +29,7 @@ from rtof_kin.data.keypoints import layout_and_point
 
 OWN_LAYOUTS: Final = ("joints", "landmarks")  #: Layouts of the skeleton's own points, not of a detector
 FEWEST_NAMED: Final = 12  #: Fewest points of a layout by which it is recognised where others are missing
+MIRROR: Final = np.array([1.0, -1.0, 1.0])  #: Signs of a place on the other side of the body
 _SIDES = {"l": "Left", "left": "Left", "r": "Right", "right": "Right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
@@ -367,7 +368,7 @@ def _sides(point: Landmark) -> list[Landmark]:
 
 
 def _mirror_image(point: Landmark, name: str) -> Landmark:
-    return Landmark(name, mirrored(point.joint), point.offset * [1.0, -1.0, 1.0])
+    return Landmark(name, mirrored(point.joint), point.offset * MIRROR)
 
 
 def _own_layouts() -> dict[str, Layout]:

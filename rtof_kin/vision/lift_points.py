@@ -21,14 +21,22 @@ from rtof_kin.core.files.arrays import read_csv, read_npz_as_saved
 from rtof_kin.core.files.text import load_json, load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
-from rtof_kin.vision.layouts import FEWEST_NAMED, OWN_LAYOUTS, DetectorTable, Layout, detector_table, mirrored, own
+from rtof_kin.vision.layouts import (
+    FEWEST_NAMED,
+    MIRROR,
+    OWN_LAYOUTS,
+    DetectorTable,
+    Layout,
+    detector_table,
+    mirrored,
+    own,
+)
 
 P_MODEL: Final = "p_model"  #: Array (T, P, K, 3) of points in space in the files of the package's own detection
 _ARRAYS: Final = ("p_world", "joints", "keypoints_3d", "pred_keypoints_3d", "joints_3d", "posed_joints", P_MODEL)
 _TIMES: Final = ("times", "timestamps", "time")
 _NAMES: Final = ("names", "joint_names")
 _CENTRED: Final = 0.02  #: Distance of the hips' middle from the origin, relative to the body
-_MIRROR: Final = np.array([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -102,7 +110,7 @@ def _rows(joint: Mapping[str, Any], known: Mapping[str, Any]) -> Iterator[tuple[
         else:
             segment, offset = joint["segment"], np.array(joint["place_mm"]) / 1000
             right = side == "Right"
-            place = mirrored(segment) if right else segment, offset * (_MIRROR if right else 1.0), joint["sd_mm"] / 1000
+            place = mirrored(segment) if right else segment, offset * (MIRROR if right else 1.0), joint["sd_mm"] / 1000
         yield joint["name"].replace("{s}", side.lower()), at, place
 
 
