@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -339,14 +340,19 @@ def _read_sleap_csv(path: Path) -> Detections:
 
 
 def read_sleap_h5(path: Path) -> Detections:
-    """Read SLEAP's analysis as HDF5; `FileFormatError` where it is unreadable or another file."""
+    """Read SLEAP's analysis as HDF5; `FileFormatError` where it is unreadable, another file, or leads to one."""
     import h5py
+
+    from rtof_kin.core.files.hdf5 import held
 
     try:
         with h5py.File(path, "r") as file:
-            tracks = np.asarray(file["tracks"], dtype=np.float64)  # (P, 2, K, T)
-            names = tuple(one.decode() if isinstance(one, bytes) else str(one) for one in file["node_names"][()])
-            scores = np.asarray(file["point_scores"], dtype=np.float64) if "point_scores" in file else None
+            within = partial(held, path, file)
+            tracks = np.asarray(within("tracks"), dtype=np.float64)  # (P, 2, K, T)
+            names = tuple(one.decode() if isinstance(one, bytes) else str(one) for one in within("node_names")[()])
+            scores = np.asarray(within("point_scores"), dtype=np.float64) if "point_scores" in file else None
+    except FileFormatError:
+        raise
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise FileFormatError(path, f"not SLEAP's analysis, with tracks and node_names ({error})") from error
     if tracks.ndim != 4 or tracks.shape[1:3] != (2, len(names)):

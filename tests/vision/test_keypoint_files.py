@@ -318,6 +318,16 @@ def test_sleaps_analysis_is_read_as_hdf5(tmp_path: Path) -> None:
     assert found.confidence[1, 0].tolist() == [0.0, 1.0]
 
 
+def test_hdf5_that_leads_to_another_file_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["tracks"] = np.zeros((1, 2, 2, 3))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["tracks"] = h5py.ExternalLink("other.h5", "tracks")
+        file["node_names"] = [name.encode() for name in BODYPARTS]
+    with pytest.raises(FileFormatError, match="tracks: leads to another file; not opened"):
+        read_detector_file(tmp_path / "a.h5")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

@@ -201,6 +201,16 @@ class BlockWriter:
         raise NotImplementedError
 
 
+def held(path: Path, file: h5py.File, name: str) -> Any:
+    """Return what an open file holds itself under a name; `FileFormatError` where that leads to another file, KeyError
+    where there is nothing.
+    """
+    link = file.get(name, getlink=True)
+    if link is not None and not isinstance(link, h5py.HardLink):
+        raise FileFormatError(path, f"{name}: leads to another file; not opened")
+    return file[name]
+
+
 class ArrayFile:
     """Arrays and attributes of an .h5 or .npz file; a context that closes it.
 
@@ -276,9 +286,7 @@ class ArrayFile:
         if len(self._file) > _MOST_ARRAYS:
             raise FileFormatError(self.path, f"{len(self._file)} arrays; no file of this package has so many")
         for name in self._file:
-            if not isinstance(self._file.get(name, getlink=True), h5py.HardLink):
-                raise FileFormatError(self.path, f"{name}: leads to another file; not opened")
-            array = self._file[name]
+            array = held(self.path, self._file, name)
             if not isinstance(array, h5py.Dataset) or array.dtype.kind not in "fiub" or not array.ndim:
                 raise FileFormatError(self.path, f"{name}: no array of numbers")
             if array.external or array.is_virtual or array.chunks is None or array.compression not in (None, "gzip"):
