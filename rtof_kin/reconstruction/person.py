@@ -124,7 +124,7 @@ class Person:
         ankle = None if (height := self.subject.ankle_height_m) is None else height.value
         found: dict[str, Any] = {"subject": self.subject.subject}
         seen = {layout: {j: at.tolist() for j, at in own.items()} for layout, own in facts.image_points.items()}
-        found["constants_sha256"] = fingerprint(facts.joint_offsets.tolist(), posture, ankle, seen)
+        found["constants_sha256"] = fingerprint(facts.joint_offsets.tolist(), posture, ankle, *filter(None, [seen]))
         for field_ in ("joint_offsets_m", "posture_deg", "image_points_m"):
             if sds := [sd_of(path, one) for path, one in self.subject.known.items() if path.startswith(field_)]:
                 found[f"sd_{field_}"] = float(np.sqrt(np.mean(np.square(sds))))
