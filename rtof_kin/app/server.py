@@ -10,8 +10,9 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final
 
-from rtof_kin.app.pages import Pages
+from rtof_kin.app.people import PeoplePages
 from rtof_kin.app.store import Store
+from rtof_kin.app.take import TakePages
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.app.work import Work
 from rtof_kin.core.files.folder import only_one
@@ -97,7 +98,8 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
         nicegui, fastapi, uvicorn = (optional(name, "app", "app") for name in ("nicegui", "fastapi", "uvicorn"))
         app, work = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Work(store)
         try:
-            Pages(nicegui, store, work, door.path.rstrip("/"))
+            for pages in (PeoplePages, TakePages):
+                pages(nicegui, store, work, door.path.rstrip("/"))
             nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language="en-US", show_welcome_message=False)
             root = f"http://{LOOPBACK}:{opening.getsockname()[1]}"
             if opened is not None:

@@ -1,0 +1,155 @@
+"""What the pages of the application share: the frame, rows, buttons, and parts that follow what changes."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from rtof_kin.app.store import State, Store
+from rtof_kin.app.texts import TEXTS
+from rtof_kin.app.work import Work
+from rtof_kin.core.errors import RtofError
+
+Show = Callable[[], None]
+_COLOURS: Final = {
+    State.DRAFT: "grey-8",
+    State.WAITING: "blue-9",
+    State.RUNNING: "blue-9",
+    State.DONE: "green-9",
+    State.ATTENTION: "deep-orange-10",
+    State.FAILED: "red-10",
+}
+EVERY: Final = 0.5  # [s] between two looks at what has changed
+_STYLE: Final = """
+<style>
+  .nicegui-content { max-width: 70rem; margin: 0 auto; }
+  a { display: inline-block; line-height: 40px; color: #1565c0 !important; }
+  .body--dark a { color: #90caf9 !important; }
+  a:focus-visible, button:focus-visible { outline: 3px solid #1565c0; outline-offset: 2px; }
+  .doubt { color: #b00020; }
+  .body--dark .doubt { color: #ff8a80; }
+  .q-btn { min-height: 40px; }
+  iframe { width: 100%; height: 85vh; border: 1px solid #9aa4ae; background: white; }
+</style>
+"""
+
+
+class Frame:
+    """The pages of one kind: a frame around each, and the pieces that they are made of."""
+
+    def __init__(self, nicegui: Any, store: Store, work: Work, prefix: str):
+        """`nicegui`: the package. `prefix`: path under which the pages are served."""
+        self.app, self.ui, self.run = nicegui.app, nicegui.ui, nicegui.run
+        self.store, self.work, self.prefix = store, work, prefix
+        self.serve()
+
+    def serve(self) -> None:
+        """Let NiceGUI serve the pages of this kind."""
+        raise NotImplementedError
+
+    @contextmanager
+    def frame(self, title: str, *names: str) -> Iterator[None]:
+        """Lay out a page; what is not there, or has a hostile name, is said in its place."""
+        ui = self.ui
+        ui.page_title(f"{title} · {TEXTS.title}")
+        ui.add_head_html(_STYLE)
+        ui.colors(primary="#1565c0")
+        with ui.row().props("role=navigation").classes("w-full"):
+            ui.link(TEXTS.people, "/")
+            for person in names[:1]:
+                ui.link(person, f"/people/{person}")
+            ui.space()
+            ui.link(TEXTS.trash, "/trash")
+        with ui.column().props("role=main").classes("w-full"):
+            self.heading(" / ".join(names) or title, 1)
+            try:
+                yield
+            except (RtofError, OSError) as error:
+                ui.label(str(error)).props("role=alert").classes("doubt text-lg")
+
+    def shown(self, look: Callable[[], Any], *fills: Callable[[Show], None]) -> None:
+        """Fill parts of a page, and again when what is looked at has changed, maybe in another window."""
+        parts = [(self.ui.column().classes("w-full"), fill) for fill in fills]
+        before = None
+
+        def show() -> None:
+            nonlocal before
+            before = look()
+            for part, fill in parts:
+                part.clear()
+                with part:
+                    fill(show)
+
+        def again() -> None:
+            try:
+                if look() != before:
+                    show()
+            except (RtofError, OSError):  # deleted in another window
+                self.ui.navigate.to("/")
+
+        show()
+        self.ui.timer(EVERY, again)
+
+    async def tried(self, action: Callable[[], Awaitable[None] | None]) -> None:
+        """Do something; what goes wrong is said."""
+        try:
+            if (waited := action()) is not None:
+                await waited
+        except (RtofError, OSError) as error:
+            said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
+            self.ui.notify(said, type="negative", multi_line=True, timeout=10_000)
+
+    def button(self, text: str, action: Callable[..., Any], *fields: Any) -> None:
+        """A button; Enter in one of the fields presses it too."""
+        self.ui.button(text, on_click=lambda: self.tried(action)).props("no-caps")
+        for field in fields:
+            field.on("keydown.enter", lambda: self.tried(action))
+
+    def icon(self, icon: str, said: str, action: Callable[..., Any]) -> None:
+        """A button with a picture; `said`: what it does, for a screen reader."""
+        button = self.ui.button(icon=icon, on_click=lambda: self.tried(action)).props("flat round dense")
+        button.props["aria-label"] = said
+
+    def delete(self, show: Show, *names: str) -> None:
+        """A button that moves a person, a visit or a recording to the trash."""
+
+        def delete() -> None:
+            if self.work.busy(self.store.path(*names)):
+                raise RtofError(TEXTS.at_work)
+            self.store.delete(*names)
+            self.ui.notify(TEXTS.deleted.format(name=names[-1]))
+            show()
+
+        self.icon("delete", TEXTS.delete.format(name=names[-1]), delete)
+
+    def heading(self, text: str, level: int) -> None:
+        """A heading of a level."""
+        size = "text-3xl" if level == 1 else "text-xl pt-4"
+        self.ui.label(text).props(f"role=heading aria-level={level}").classes(size)
+
+    def row(self) -> Any:
+        """A row of pieces."""
+        return self.ui.row().classes("items-center")
+
+    def link(self, *names: str) -> None:
+        """A link to the page of a person or a recording."""
+        self.ui.link(names[-1], "/".join(("/people", *names))).classes("text-lg")
+
+    def address(self, folder: Path, file: str) -> str:
+        """Return the address of a file of a recording."""
+        return "/".join(("/results", *folder.relative_to(self.store.root).parts, file))
+
+    def chip(self, folder: Path) -> None:
+        """The state of a recording."""
+        state = self.store.take(folder).state
+        self.ui.badge(state.value, color=_COLOURS[state]).classes("text-sm p-1")
+
+    def height(self, person: str) -> str:
+        """Return what is known of the height of a person."""
+        try:
+            known = self.store.subject(person).height_m
+        except RtofError as error:
+            return str(error)
+        return "" if known is None else TEXTS.of_height.format(height=100 * known.value)
