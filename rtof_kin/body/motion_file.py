@@ -30,6 +30,7 @@ Releases before HDF5 wrote ``motion.npz``, with arrays in place of the attribute
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
@@ -45,6 +46,7 @@ from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors, short_floats
 from rtof_kin.data.confidence import Confidence, valid_covariances
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence, Provenance
 
 # Covariances at some frames, the nodes, between which they are interpolated linearly.
@@ -244,7 +246,7 @@ class MotionReader(MotionSource):
             except (RtofError, ValueError, TypeError) as error:
                 raise FileFormatError(self.path, str(error)) from error
             failed.pop_all()
-        super().__init__(skeleton, times, self._frames)
+        super().__init__(skeleton, times, self._frames, corrections=self._corrections)
 
     def __enter__(self) -> Self:
         return self
@@ -281,6 +283,8 @@ class MotionReader(MotionSource):
         pairs = attributes.get("confidence_pairs", np.empty((0, 2), dtype="U1"))
         if pairs.ndim != 2 or pairs.shape[1] != 2:
             raise ShapeError(f"confidence_pairs: expected pairs of names, got shape {pairs.shape}")
+        known = json.loads(str(attributes.get("corrections", "[]")))
+        self._corrections = tuple(Correction(**one) for one in known)
         self._pairs = tuple((str(parent), str(child)) for parent, child in pairs)
         return skeleton
 
@@ -327,7 +331,7 @@ class MotionReader(MotionSource):
             p, R = self._poses(q, start, stop)
             poses = PoseSequence(self.times[start:stop], p, R, self.skeleton.names, **masks)
             known = self._confidence(start, stop) if self._pairs and confidence else None
-            return Motion(self.skeleton, q, poses, self.skeleton.check(q), known)
+            return Motion(self.skeleton, q, poses, self.skeleton.check(q), known, self.corrections)
         except (RtofError, ValueError, TypeError) as error:
             if isinstance(error, FileFormatError):
                 raise
@@ -418,6 +422,7 @@ class MotionWriter(BlockWriter):
         if self._frames and pairs != self._pairs:
             raise InvalidInputError(f"{self._path}: the frames to be appended have another confidence")
         self._pairs = pairs
+        self._header["corrections"] = json.dumps([one.plain() for one in motion.corrections])
         q = multiples(motion.q, _Q_BITS)
         self._arrays.append({"times": poses.times, "q": q} | {name: getattr(poses, name) for name in MASKS})
         p, R = self._skeleton.forward_kinematics(q)

@@ -11,6 +11,7 @@ import numpy as np
 from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.data.corrections import Correction
 
 BLOCK: Final = 3600  #: Frames of a block: a minute at 60 Hz
 
@@ -39,7 +40,7 @@ class MotionSource:
     """A motion that may be longer than memory allows; functions read it in blocks, as often as they need to.
 
     Attributes:
-        skeleton: of the subject. times: (T,) s.
+        skeleton: of the subject. times: (T,) s. corrections: by hand, of the recording.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class MotionSource:
         times: Array,
         read: Callable[[int, int, bool], Motion],
         masks: ObservationMasks | None = None,
+        corrections: tuple[Correction, ...] = (),
     ):
         """Read nothing yet.
 
@@ -55,9 +57,10 @@ class MotionSource:
             times: (T,) s.
             read: returns frames [start, stop), which have to have their confidence if the third is True.
             masks: of all frames; by default the first pass over the motion collects them.
+            corrections: by hand, of the recording.
         """
         self.skeleton, self.times = skeleton, times
-        self._read, self._masks = read, masks
+        self._read, self._masks, self.corrections = read, masks, corrections
 
     @classmethod
     def of(cls, motion: Motion | Self) -> MotionSource:
@@ -68,7 +71,7 @@ class MotionSource:
         def read(start: int, stop: int, _: bool) -> Motion:
             return motion if stop - start == len(motion.q) else motion[start:stop]
 
-        return MotionSource(motion.skeleton, motion.times, read)
+        return MotionSource(motion.skeleton, motion.times, read, corrections=motion.corrections)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -80,7 +83,7 @@ class MotionSource:
         def read(start: int, stop: int, confidence: bool) -> Motion:
             return self._read(first + start, first + stop, confidence)
 
-        return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last])
+        return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last], self.corrections)
 
     def with_times(self, times: Array) -> MotionSource:
         """Return the motion at other times, without confidence. times: (T,) s."""

@@ -26,6 +26,7 @@ from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 
@@ -57,6 +58,7 @@ class Motion:
     poses: PoseSequence  #: Forward kinematics of q, with validity and provenance
     report: ConfigurationReport  #: Singular postures and limit violations
     confidence: Confidence | None = None  #: Covariances, if estimated
+    corrections: tuple[Correction, ...] = ()  #: By hand, of the recording: gait events and repetitions among them
 
     def __post_init__(self) -> None:
         known, poses = self.confidence, self.poses

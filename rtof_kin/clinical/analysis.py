@@ -16,7 +16,7 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.ground_reaction import GroundReaction, foot_contacts, ground_reaction
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
-from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
+from rtof_kin.clinical.repetitions import KINDS, RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.choices import Repeated
@@ -70,6 +70,7 @@ def analyse(
         motion: output folder of a reconstruction, its motion file, or a motion.
         weight_kg: body mass, kg; no torques without it. height: m, to check the size of the skeleton.
         sex: 'male', 'female' or None for the mean.
+        repetitions: which are counted; default: those that were marked by hand.
         from_standing: whether angles are relative to the person's quiet standing (`relative_to_standing`).
 
     Raises:
@@ -86,6 +87,8 @@ def analyse(
     (angles,), paths = angles_and_paths(source, angle_table(source.skeleton.table), standing=from_standing)
     if from_standing:
         angles = relative_to_standing(angles, paths)
+    if repetitions is None:
+        repetitions = next((kind for kind in KINDS for one in source.corrections if one.what == kind), None)
     counted = find_repetitions(paths, angles, repetitions) if repetitions is not None else None
     gait = analyse_gait(gait_events(paths), angles)
     torques, reaction = None, None

@@ -168,7 +168,7 @@ def angles_and_paths(
         for one in found:
             one.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
         paths.add(block.frames, block.motion.poses, block.own)
-    return [angles_of(one, source.masks) for one in found], paths.paths(source.masks)
+    return [angles_of(one, source.masks) for one in found], paths.paths(source.masks, source.corrections)
 
 
 def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngles:

@@ -18,6 +18,7 @@ from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.data.corrections import corrected_events
 
 CUTOFF_HZ: Final = 7.0  # low-pass of the feet's path
 HEADING_CUTOFF_HZ: Final = 0.5  # low-pass of the pelvis heading, which removes its rotation within a step
@@ -69,8 +70,9 @@ def gait_events(paths: BodyPaths) -> GaitEvents:
             notes.append(f"{side} foot: never observed, so it has no events and no strides")
             continue
         ahead = [np.sum((point - p_pelvis) * forward, axis=-1) for point in (heel, toe)]
-        strikes = _maxima(paths.times, ahead[0], rate_hz)
-        feet[side] = FootEvents(strikes, _maxima(paths.times, -ahead[1], rate_hz), heel, heel is toe)
+        found = (_maxima(paths.times, way, rate_hz) for way in (ahead[0], -ahead[1]))
+        strikes, offs = corrected_events(paths.corrections, side, *found)
+        feet[side] = FootEvents(strikes, offs, heel, heel is toe)
         if not strikes.size:
             notes.append(
                 f"{side} foot: no heel strike in {paths.times[-1] - paths.times[0]:.1f} s; no swing of "

@@ -14,6 +14,7 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence
 
 
@@ -28,6 +29,7 @@ class BodyPaths:
     standing: Mask | None  #: (T,) whether the person stands still (`standing_frames`); None without a request
     table: AngleTable  #: Joint of each term, see `AngleTable.segments`
     masks: ObservationMasks  #: Of all joints
+    corrections: tuple[Correction, ...] = ()  #: By hand, of the recording
 
     def __len__(self) -> int:
         return len(self.times)
@@ -74,9 +76,9 @@ class PathCollector:
         if self._standing is not None:
             self._standing[frames] = standing_frames(poses, self._rate_hz)[own]
 
-    def paths(self, masks: ObservationMasks) -> BodyPaths:
-        """Return the paths."""
-        return BodyPaths(self._times, self._points, self._heading, self._standing, self._table, masks)
+    def paths(self, masks: ObservationMasks, corrections: tuple[Correction, ...] = ()) -> BodyPaths:
+        """Return the paths; `corrections`: by hand, of the recording."""
+        return BodyPaths(self._times, self._points, self._heading, self._standing, self._table, masks, corrections)
 
 
 def body_paths(
@@ -100,4 +102,4 @@ def body_paths(
     collector = PathCollector(source.skeleton, source.times, standing)
     for block in source.blocks(margin=1):
         collector.add(block.frames, block.motion.poses, block.own)
-    return collector.paths(source.masks)
+    return collector.paths(source.masks, source.corrections)

@@ -82,7 +82,8 @@ def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Repeated) -
     height = _pelvis_height(paths, notes)
     lengths, segments = paths.skeleton.bone_lengths, paths.table.segments
     leg = sum(lengths[segments[f"{side} {word}"]] for side in SIDES for word in ("shank", "foot")) / 2
-    dips = [
+    marked = [one.span for one in paths.corrections if one.kind == "repetition" and one.what == kind]
+    dips = [_marked(span, paths.times, height, kind, leg) for span in sorted(marked)] or [
         dip
         for start, stop in signals.runs(np.isfinite(height))
         for dip in _dips(paths.times[start:stop], height[start:stop], paths.rate_hz, leg)
@@ -137,6 +138,19 @@ def _dips(times: Array, height: Array, rate_hz: float, leg: float) -> list[Repet
             depth = float(max(height[before].max(), height[after].max()) - height[bottom])
             out.append(Repetition(down[::-1] if down else None, up, depth, depth / leg, {}))
     return out
+
+
+def _marked(span: Interval, times: Array, height: Array, kind: Repeated, leg: float) -> Repetition:
+    """Return a repetition that was marked by hand, down to the lowest pelvis between its ends; a rise is up only."""
+    own = signals.within(times, *span)
+    inside = height[own]
+    if kind == "sit_to_stand" or not np.isfinite(inside).any():
+        down, up = None, span
+    else:
+        bottom = float(times[own][np.nanargmin(inside)])
+        down, up = (span[0], bottom), (bottom, span[1])
+    depth = float(np.nanmax(inside) - np.nanmin(inside)) if np.isfinite(inside).any() else float("nan")
+    return Repetition(down, up, depth, depth / leg, {})
 
 
 def _rise(times: Array, height: Array, least: float) -> Interval | None:

@@ -10,7 +10,8 @@ running, is bounded by a weak velocity constraint on the lower foot with Cauchy'
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -20,6 +21,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 
@@ -103,15 +105,26 @@ def detect_contacts(
     return Contacts(feet, standing)
 
 
-def contact_points(contacts: Contacts, p_world: Array, height: float) -> ContactPoints:
+def by_hand(contacts: Contacts, times: Array, corrections: Iterable[Correction]) -> Contacts:
+    """Return contacts at times (T,), s, with the feet that stand as a person said."""
+    standing = contacts.standing.copy()
+    for one in corrections:
+        foot = f"{one.what.title()}Foot"
+        if one.kind == "foot_contact" and foot in contacts.joints:
+            standing[one.within(times), contacts.joints.index(foot)] = True
+    return replace(contacts, standing=standing)
+
+
+def contact_points(contacts: Contacts, p_world: Array, height: float | None) -> ContactPoints:
     """Return the median horizontal position of each contact, of positions (T, C, 3), m, at a height of the
-    ankles, m.
+    ankles, m; None: the median one.
     """
     places = np.full_like(p_world, np.nan)
     for i, own in enumerate(contacts.standing.T):
         for start, stop in signals.runs(own):
-            places[start:stop, i, :2] = np.median(p_world[start:stop, i, :2], axis=0)
-            places[start:stop, i, 2] = height
+            places[start:stop, i] = np.median(p_world[start:stop, i], axis=0)
+    if height is not None:
+        places[..., 2] = np.where(contacts.standing, height, np.nan)
     return ContactPoints(contacts.joints, places)
 
 

@@ -20,6 +20,7 @@ from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, missing_samples, reject_imu_outliers
+from rtof_kin.inertial.root_path import FEET, ContactPoints, Contacts, by_hand, contact_points
 from rtof_kin.reconstruction.camera_evidence import without_heading_drift
 from rtof_kin.reconstruction.external_lift import Agreement, external
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift
@@ -146,9 +147,20 @@ class Job:
             places = self._sensor_places(prepared.skeleton)
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
         report, clean = (lambda i, n: self.progress(stage, i, n)) if stage else None, prepared.recording
+        stand = self._standing_by_hand(prepared.guess.poses)
         return solver.solve(
-            prepared.guess, clean.video, prepared.bone_imus, report, confidence=confidence, views=clean.views
+            prepared.guess, clean.video, prepared.bone_imus, report, stand, confidence=confidence, views=clean.views
         )
+
+    def _standing_by_hand(self, poses: PoseSequence) -> ContactPoints | None:
+        """Return where feet stand that were said to; None where none was, or there is no term for them."""
+        solver, feet = self.settings.fragment, tuple(name for name in FEET if name in poses.names)
+        nowhere = Contacts(feet, np.zeros((len(poses), len(feet)), dtype=bool))
+        contacts = by_hand(nowhere, poses.times, self.recording.corrections)
+        if not isinstance(solver, JointSpaceSettings) or not contacts.standing.any():
+            return None
+        height = None if solver.floor_height is None else solver.floor_height + solver.ankle_height
+        return contact_points(contacts, poses.p_world_joint[:, [poses.names.index(foot) for foot in feet]], height)
 
     def solved_again(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,6 +92,10 @@ class Reconstruction:
     position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
     lifts: tuple[Agreement, ...] = ()  #: How the points of other models agree; of a long recording in its first part
     parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
+
+    def __post_init__(self) -> None:
+        if self.motion.corrections != self.recording.corrections:
+            object.__setattr__(self, "motion", replace(self.motion, corrections=self.recording.corrections))
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:

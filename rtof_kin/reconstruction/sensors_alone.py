@@ -22,7 +22,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 from rtof_kin.inertial.initial_poses import poses_from_sensors
-from rtof_kin.inertial.root_path import Contacts, RootPath, contact_points, detect_contacts, root_path
+from rtof_kin.inertial.root_path import Contacts, RootPath, by_hand, contact_points, detect_contacts, root_path
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.prepare import Job, cleaned
 from rtof_kin.reconstruction.result import Choices, Reconstruction
@@ -57,7 +57,8 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
     start = poses_from_sensors(skeleton, bone_imus)
-    contacts = detect_contacts(start, bone_imus, skeleton)
+    found = detect_contacts(start, bone_imus, skeleton)
+    contacts = by_hand(found, start.times, job.recording.corrections)
     path = root_path(start, bone_imus, contacts, skeleton, ankle_height)
     start = _on_path(start, path, contacts, skeleton)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]

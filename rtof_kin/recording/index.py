@@ -5,22 +5,28 @@ The format is described in docs/recording.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
+import tomli_w
 
 from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel, known_body
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.input_table import InputTable
-from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.files.manifest import made_from, read_contents, write_manifest
+from rtof_kin.core.files.text import load_toml, write_text
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.cameras import filmed_stream
+from rtof_kin.recording.corrections import corrected
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import imu_stream
 from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
@@ -40,6 +46,7 @@ _TRUTH_AXES: Final = {
     "orientation_observed": 2,
 }
 """Number of axes of arrays with a row for each sample; with fewer they hold for all samples."""
+_CORRECTION: Final = re.compile(r"^\[\[corrections\]\].*?(?=^\[(?!\[corrections)|\Z)", re.MULTILINE | re.DOTALL)
 TRUTH: Final = tuple(_TRUTH_AXES)  #: Fields of `PoseSequence` in a file
 shipped = cache(SkeletonModel.named)  #: Skeleton of a table
 
@@ -105,6 +112,7 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         session = Session(**{field.name: getattr(index.session, field.name) for field in fields(Session)})
     except InvalidInputError as error:
         raise index.session.error("date", str(error)) from error
+    corrections = tuple(table.correction() for table in index.corrections)
     own: dict[str, Any] = {
         "name": index.name if index.has("name") else index.path.absolute().parent.name,
         "first_frame": index.first_frame,
@@ -115,8 +123,38 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         "calibration": calibration,
         "posture": posture,
         "lifts": lifts,
+        "corrections": corrections,
     }
-    return facts | own, Streams(keypoints, views, imus, truth)
+    return facts | own, corrected(Streams(keypoints, views, imus, truth), corrections, index.path)
+
+
+def read_corrections(folder: str | Path) -> tuple[Correction, ...]:
+    """Return what was corrected by hand in a recording's folder; nothing where there is no recording."""
+    if not (Path(folder) / INDEX).is_file():
+        return ()
+    return tuple(table.correction() for table in index_of(Path(folder)).corrections)
+
+
+def write_corrections(folder: str | Path, corrections: Iterable[Correction]) -> None:
+    """Replace the corrections in a recording's folder; all else in ``recording.toml`` stays as it is, with its remarks.
+
+    Raises:
+        RtofError: one of them says nothing sensible, then nothing is written; or it cannot be written.
+    """
+    path = Path(folder) / INDEX
+    text = with_corrections(path.read_text(encoding="utf-8"), corrections)
+    for table in RecordingTable.of(tomllib.loads(text), path).corrections:
+        table.correction()
+    inputs, contents = made_from(path.parent), read_contents(path.parent)
+    write_text(path, text, overwrite=True)
+    if path in contents.own:
+        write_manifest(path.parent, contents.kind, inputs, [one for one in contents.own if one.is_file()])
+
+
+def with_corrections(text: str, corrections: Iterable[Correction]) -> str:
+    """Return the text of ``recording.toml`` with these corrections in place of its own."""
+    made = [f"\n[[corrections]]\n{tomli_w.dumps(one.plain())}" for one in corrections]
+    return "".join([_CORRECTION.sub("", text).rstrip("\n"), "\n", *made])
 
 
 def body_of(

@@ -30,13 +30,24 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
+from rtof_kin.recording.index import (
+    INDEX,
+    SCHEMA_VERSION,
+    SKELETONS,
+    TRUTH,
+    body_of,
+    index_of,
+    read_index,
+    shipped,
+    with_corrections,
+)
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, calibration_table, imu_arrays
 from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming
@@ -177,6 +188,7 @@ class Recording(RecordingSource):
     of `keypoints`."""
     lifts: tuple[LiftPoints, ...] = ()
     """3D points that other models see in the video of the first camera; without one they mean nothing."""
+    corrections: tuple[Correction, ...] = ()  #: By hand; the samples have them
     is_part: bool = False  #: Whether it was cut from a longer recording, on which the clocks were checked
 
     def __post_init__(self) -> None:
@@ -339,7 +351,8 @@ class Recording(RecordingSource):
 
     def index(self) -> str:
         """Return the text of ``recording.toml``."""
-        return tomli_w.dumps(self._index())
+        made = (replace(one, applied=True) for one in self.corrections)
+        return with_corrections(tomli_w.dumps(self._index()), made)
 
     def _index(self) -> dict[str, Any]:
         joints = self.skeleton.names

@@ -28,6 +28,7 @@ from rtof_kin.core.files.input_table import (
     Vector5,
     explained_by,
 )
+from rtof_kin.data.corrections import Correction, CorrectionKind
 from rtof_kin.data.imu_stream import (
     CHOICES,
     AccelerationAxes,
@@ -375,6 +376,37 @@ class LiftTable(InputTable):
     colon the convention of its joints, where their names or number do not say it."""
 
 
+class CorrectionTable(InputTable):
+    """A correction by hand. The files stay as they are."""
+
+    kind: CorrectionKind
+    """What is corrected: measurements that are left out; sides of the image exchanged; a foot that stands; gait events
+    and strides that replace those found nearby, or events that are none; repetitions."""
+    what: Annotated[str, Field(examples=["image", "left", "L_UpArm"])] = ""
+    """Of leave_out: all, image, sensors, or the name of a sensor; of feet: left, right; of repetition: squat,
+    sit_to_stand."""
+    start_s: Number | None = None
+    """Where it begins, or the instant of an event, s on the recording's clock; default: its start."""
+    stop_s: Number | None = None
+    """Where it ends, s; default: the recording's end."""
+    who: str = ""
+    """Who made it."""
+    when: Annotated[str, Field(examples=["2026-01-31T10:15"])] = ""
+    """Day and time."""
+    why: str = ""
+    """Reason."""
+    applied: bool = False
+    """Whether the files have it already."""
+
+    def correction(self) -> Correction:
+        """Return it; `FileFormatError` where it says nothing sensible."""
+        own = {name: value for name in type(self).model_fields if (value := getattr(self, name)) is not None}
+        found = Correction(**own)
+        if found.problem:
+            raise self.error("kind", f"{self.kind}: {found.problem}")
+        return found
+
+
 class NotesTable(InputTable):
     """Free text."""
 
@@ -409,6 +441,8 @@ class RecordingTable(InputTable):
     lift: LiftTable | None = None
     posture: PostureTable | None = None
     truth: TruthTable | None = None
+    corrections: Annotated[tuple[CorrectionTable, ...], Strict(False)] = ()
+    """What was corrected by hand."""
     notes: NotesTable = NotesTable()
     rules = (
         Rule(

@@ -336,7 +336,7 @@ def _recording(motion: MotionSource, summary: Summary, session: Session, made: s
         image += f", {camera['rate_hz']:.4g} Hz"
     if (cameras := inputs.get("cameras", 1)) > 1:
         image += f"; the first of {cameras} cameras"
-    labels = ("subject", "operator", "date", "place", "protocol")
+    labels, by_hand = ("subject", "operator", "date", "place", "protocol"), inputs.get("corrections")
     return {
         **{label.title(): getattr(session, label) or "not stated" for label in labels},
         "Recording": summary.recording,
@@ -344,6 +344,7 @@ def _recording(motion: MotionSource, summary: Summary, session: Session, made: s
         "Length": f"{len(times)} frames, {times[-1] - times[0]:.1f} s, {motion.rate_hz:.4g} Hz",
         "Camera": image,
         **({"Other 3D models": ". ".join(found)} if (found := inputs.get("found_of_lifts")) else {}),
+        **({"Corrected by hand": ". ".join(by_hand)} if by_hand else {}),
         "Sensors": ", ".join(str(s.get("segment") or s.get("name")) for s in sensors) or "none",
         "Mode": summary.mode,
         **_settings(summary.settings or {}),

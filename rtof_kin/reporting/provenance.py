@@ -42,6 +42,7 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
         "software": f"rtof_kin {software}",
         "session": recording.session.plain(),
         "notes": recording.notes,
+        "corrections": [str(one) for one in recording.corrections],
         "first_frame": recording.first_frame,
         "subject": {"height_m": recording.height, "skeleton_height_m": recording.skeleton.height}
         | {"mass_kg": recording.mass_kg, "sex": recording.sex, "bones": bones},

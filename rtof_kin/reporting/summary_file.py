@@ -24,7 +24,7 @@ _TABLES: Final = (
 )
 _LISTS: Final = {
     **{"audit": dict, "sensors": dict, "rows": list},
-    **dict.fromkeys(("columns", "landmarks", "lifts", "found_of_lifts"), str),
+    **dict.fromkeys(("columns", "landmarks", "lifts", "found_of_lifts", "corrections"), str),
 }
 """List -> kind of its elements; those of other lists are numbers."""
 _OWN: Final = ("audit", "session")  # tables that check themselves

@@ -171,13 +171,14 @@ def summary_lines(
 ) -> tuple[SummaryLine, ...]:
     """Return the lines of a report's summary; one on the position in the room where its audit has one."""
     seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
-    room = []
+    room, mended = [], len(summary.inputs.get("corrections") or ())
+    by_hand = f" Corrected by hand {'once' if mended == 1 else f'{mended} times'}: see Recording." if mended else ""
     if overall.room:
         verdict, _, why = plain_words(overall.room_text, analysis.table).partition(": ")
         room = [SummaryLine("Position in the room", f"{sentence(why or verdict)}.", overall.room)]
     return (
         SummaryLine("Who", _who(analysis, summary, session)),
-        SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."),
+        SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}.{by_hand}"),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
         *room,
         SummaryLine("Careful", _careful(analysis, overall)),

@@ -27,7 +27,7 @@ from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, read_corrections, with_corrections
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.setup.camera import MOTION, assumed_camera, calibrated_camera, filming_camera, seen_camera
@@ -252,7 +252,9 @@ def write_recording(
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
-        INDEX: recording_text({**tables, "notes": {"text": Field(found.text)}}, title),
+        INDEX: with_corrections(
+            recording_text({**tables, "notes": {"text": Field(found.text)}}, title), read_corrections(folder)
+        ),
     }
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE) if sources.seen else ():
