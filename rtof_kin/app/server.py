@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.app.people import PeoplePages
+from rtof_kin.app.review import ReviewPages
 from rtof_kin.app.store import Store
 from rtof_kin.app.take import TakePages
 from rtof_kin.app.texts import TEXTS
@@ -96,9 +97,10 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
         tempfile.tempdir = str(uploads)  # large files wait here until they are complete
         os.environ["NICEGUI_STORAGE_PATH"] = str(store.root / _SETTINGS)  # else in the present folder
         nicegui, fastapi, uvicorn = (optional(name, "app", "app") for name in ("nicegui", "fastapi", "uvicorn"))
+        nicegui.run.process_pool_start_method = "spawn"  # this process has threads
         app, work = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Work(store)
         try:
-            for pages in (PeoplePages, TakePages):
+            for pages in (PeoplePages, TakePages, ReviewPages):
                 pages(nicegui, store, work, door.path.rstrip("/"))
             nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language="en-US", show_welcome_message=False)
             root = f"http://{LOOPBACK}:{opening.getsockname()[1]}"

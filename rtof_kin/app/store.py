@@ -35,7 +35,7 @@ from rtof_kin.reporting.page import PAGE
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 from rtof_kin.setup.init import read_findings
 from rtof_kin.setup.run import MOTION, RECORDING
-from rtof_kin.setup.sources import Sources
+from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 FILES: Final = "files"
 SUBJECT: Final = "subject.toml"
@@ -158,6 +158,12 @@ class Store:
         """Return the files of a recording."""
         found = (folder / FILES).iterdir() if (folder / FILES).is_dir() else ()
         return sorted(path for path in found if path.is_file() and not path.is_symlink() and path.name[0] != ".")
+
+    @staticmethod
+    def video(folder: Path) -> Path | None:
+        """Return the video of a recording; None where there is none."""
+        found = (path for path in Store.files(folder) if recognise_source(path) is SourceKind.VIDEO)
+        return next(found, None)
 
     def sources(self, folder: Path) -> Sources:
         """Recognise the files; errors of `Sources.of`, and `InvalidInputError` where there is nothing to see."""

@@ -160,7 +160,9 @@ class TakePages(Frame):
             return
         self.heading(TEXTS.result, 2)
         address = self.address(folder, PAGE)
-        ui.link(TEXTS.report, address, new_tab=True)
+        with self.row().classes("gap-8"):
+            ui.link(TEXTS.to_review, "/".join(("/people", *folder.relative_to(self.store.root).parts, "review")))
+            ui.link(TEXTS.report, address, new_tab=True)
         ui.element("iframe").props(f'src="{self.prefix}{address}" title="{TEXTS.result}" sandbox="{_SANDBOX}"')
 
 

@@ -42,6 +42,42 @@ class Texts:
     trash: str = "Trash"
     empty_trash: str = "The trash is empty."
     restore: str = "Take {name} back"
+    # a result that is looked at and mended
+    review: str = "Video, motion and curves"
+    to_review: str = "Look at it beside the video, and mend it"
+    to_recording: str = "Files and report of this recording"
+    no_result: str = "There is no result yet: reconstruct the recording first"
+    mend: str = "Correct by hand"
+    correction: str = "What is corrected"
+    from_s: str = "From, s"
+    to_s: str = "To, s"
+    who_mends: str = "Who (initials)"
+    why: str = "Why"
+    add_correction: str = "Add"
+    take_back: str = "Take back: {what}"
+    unsolved: str = "What was corrected is not in the result yet."
+    solve_again: str = "Solve again"
+    incomplete: str = "Say what is corrected, who you are, and why"
+    no_range: str = "Choose a range below: 'range starts here' and 'range ends here'"
+    leave_out_sensor: str = "Leave out the sensor {name}"
+    corrections: tuple[tuple[str, str], ...] = (
+        ("leave_out all", "Leave out everything"),
+        ("leave_out image", "Leave out the picture"),
+        ("leave_out sensors", "Leave out all sensors"),
+        ("exchange_sides", "Exchange left and right in the picture"),
+        ("foot_contact left", "The left foot stands"),
+        ("foot_contact right", "The right foot stands"),
+        ("stride left", "This is a stride of the left foot"),
+        ("stride right", "This is a stride of the right foot"),
+        ("foot_strike left", "The left foot strikes at the start"),
+        ("foot_strike right", "The right foot strikes at the start"),
+        ("foot_off left", "The left foot lifts off at the start"),
+        ("foot_off right", "The right foot lifts off at the start"),
+        ("no_event left", "No step of the left foot here"),
+        ("no_event right", "No step of the right foot here"),
+        ("repetition squat", "This is one squat"),
+        ("repetition sit_to_stand", "This is one rise from a seat"),
+    )
     # a recording
     files: str = "1. Files"
     drop: str = "Drop video and sensor files here, or press +"

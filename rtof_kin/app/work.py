@@ -20,13 +20,23 @@ from rtof_kin.app.store import AT_WORK, FILES, SUBJECT, State, Store, Take, verd
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.processes import end_with_parent
-from rtof_kin.setup.run import run
+from rtof_kin.reporting.review import review
+from rtof_kin.setup.run import MOTION, run
 from rtof_kin.setup.settings import ReconstructionTask, SetupSettings
 
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _EVERY: Final = 0.2  # [s] between two reports of a stage
+REVIEW: Final = "review.html"  #: Page of the motion beside its video
+VIDEO: Final = "video"  #: Address of the video beside that of the page
 REPORT: Final = "report"  #: Stage after all that are reported: angles and page
+
+
+def write_review(folder: Path) -> None:
+    """Write the page of a recording's result; errors of `review`."""
+    filmed = Store.video(folder) is not None
+    write_text(folder / REVIEW, review(folder / MOTION, VIDEO if filmed else ""), overwrite=True)
 
 
 class Stages:
@@ -192,6 +202,8 @@ def _reconstruct(place: str, take: Take, sender: Connection) -> None:
         task = ReconstructionTask(calibrate=True, subject=folder.parent.parent / SUBJECT)
         with without_warnings("rtof_kin"):
             run(Store.files(folder), folder, setup, task=task, overwrite=True, progress=progress)
+        with suppress(RtofError):  # it is made again when it is asked for
+            write_review(folder)
         sender.send({"state": verdict(folder), "said": ""})
     except Exception as error:
         said = str(error) if isinstance(error, RtofError) else f"{type(error).__name__}: {error}"

@@ -46,7 +46,7 @@ from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.reporting.summary_lines import summary_lines
 
 PAGE: Final = "report.html"
-_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
+SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js")  #: Of pages with curves and a skeleton that plays
 _NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 _CONTENTS: Final = {
     "ranges": "Ranges",
@@ -129,7 +129,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
     return render(
         "report.html",
         styles=("page.css", "report.css"),
-        scripts=_SCRIPTS,
+        scripts=(*SCRIPTS, "start.js"),
         data={
             "angles": curves,
             "cycles": cycle_curves_data(analysis),
@@ -147,7 +147,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         way=way_line(analysis.travel),
         ranges=range_tables(analysis.ranges, analysis.angles.rows, whole),
         whole_curves=f"Curve, in parentheses: {curve_note()}." if whole else "",
-        bands="Bands are 95 % intervals of the motion's confidence." if bands else f"There are no bands: {NO_BANDS}.",
+        bands=bands_note(analysis),
         sampling=sampling,
         gait=gait_table(analysis.gait) if analysis.gait.is_gait else None,
         gait_notes=analysis.gait.notes if analysis.gait.is_gait else (),
@@ -167,6 +167,12 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         audit=_audit(results),
         acknowledgement=summary.acknowledgement,
     )
+
+
+def bands_note(analysis: MotionAnalysis) -> str:
+    """Return the sentence on the bands of the curves."""
+    without = f"There are no bands: {NO_BANDS}."
+    return without if analysis.angles.sigma is None else "Bands are 95 % intervals of the motion's confidence."
 
 
 def _origin(summary: Summary, session: Session, made: str) -> str:

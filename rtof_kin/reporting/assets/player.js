@@ -1,12 +1,15 @@
 
+const side_of = name => /^(Left|l(?=[A-Z]))/.test(name) ? "left" : /^(Right|r(?=[A-Z]))/.test(name) ? "right" : "middle";
+
 // The skeleton playing in 3D, with a slider for time. moved(t, read) is called with the time; read: at a time that was chosen.
-function start_player(data, moved) {
+// film: {video, offset} plays beside it, at `offset` seconds more; it leads while it plays. Null: none.
+function start_player(data, moved, film) {
   const canvas = document.getElementById("scene");
   const [play, slider, clock, speed, follow] =
     ["play", "time", "clock", "speed", "follow"].map(id => document.getElementById(id));
   const J = data.joints.length, T = data.times.length;
   const p = unpack(data.p, data.scale), valid = unpack(data.valid, 100);
-  const side = data.joints.map(name => /^(Left|l(?=[A-Z]))/.test(name) ? "left" : /^(Right|r(?=[A-Z]))/.test(name) ? "right" : "middle");
+  const side = data.joints.map(side_of);
   const unseen = (frame, joint) => data.unseen[joint].some(([first, stop]) => first <= frame && frame < stop);
   const paint_scene = start_scene(canvas, data.height, () => paint());
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");  // stills, two a second
@@ -37,13 +40,17 @@ function start_player(data, moved) {
     moved(data.times[frame], chosen && !playing);
   }
 
-  function go(time) { chosen = true; now = Math.min(Math.max(time, data.times[0]), data.times[T - 1]); paint(); }
+  function seek() { if (film) film.video.currentTime = Math.max(now + film.offset, 0); }
+
+  function go(time) { chosen = true; now = Math.min(Math.max(time, data.times[0]), data.times[T - 1]); seek(); paint(); }
 
   function tick(stamp) {
     if (!playing) return;
-    if (before) now += (stamp - before) / 1000 * Number(speed.value);
+    const leads = film && !film.video.paused && film.video.readyState > 1;
+    if (leads) now = Math.max(film.video.currentTime - film.offset, data.times[0]);
+    else if (before) now += (stamp - before) / 1000 * Number(speed.value);
     before = stamp;
-    if (now > data.times[T - 1]) now = data.times[0];
+    if (now > data.times[T - 1]) { now = data.times[0]; seek(); }
     if (!calm.matches || stamp - painted >= 500) { painted = stamp; paint(); }
     requestAnimationFrame(tick);
   }
@@ -52,16 +59,22 @@ function start_player(data, moved) {
     playing = !playing;
     play.textContent = playing ? "pause" : "play";
     before = 0;
+    if (film) {
+      film.video.playbackRate = Number(speed.value);
+      if (playing) film.video.play().catch(() => {}); else film.video.pause();
+    }
     if (playing) requestAnimationFrame(tick);
   }
 
   play.addEventListener("click", toggle);
   slider.addEventListener("input", () => go(data.times[Number(slider.value)]));
   follow.addEventListener("change", paint);
+  speed.addEventListener("change", () => { if (film) film.video.playbackRate = Number(speed.value); });
   canvas.addEventListener("keydown", event => { if (event.key === " ") { event.preventDefault(); toggle(); } });
   for (const button of document.querySelectorAll(".views button"))
     button.addEventListener("click", () =>
       canvas.dispatchEvent(new KeyboardEvent("keydown", {key: button.dataset.key, cancelable: true})));
+  seek();
   paint();
   return go;
 }

@@ -1,0 +1,149 @@
+"""Page to look at a result and to mend it: video, motion and curves on one time line, and corrections by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from rtof_kin.app.frame import Frame, Show
+from rtof_kin.app.store import AT_WORK, Store
+from rtof_kin.app.texts import TEXTS
+from rtof_kin.app.work import REVIEW, VIDEO, write_review
+from rtof_kin.body.motion_file import MOTION as MOTION_FILE
+from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.packages import optional
+from rtof_kin.data.corrections import EVENTS, Correction
+from rtof_kin.recording.index import INDEX, read_corrections, write_corrections
+from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+from rtof_kin.setup.run import MOTION, RECORDING
+
+_LISTEN: Final = """
+window.addEventListener("message", event => {
+  if (event.origin === location.origin && Array.isArray(event.data?.range)) emitEvent("range", event.data.range);
+});
+"""
+_WITHOUT_SPAN: Final = ("exchange_sides", "leave_out")  #: What may hold for the whole recording
+
+
+class ReviewPages(Frame):
+    """A result beside its video, and what a person corrects in it."""
+
+    who = ""  #: Who made the last correction
+
+    def serve(self) -> None:
+        """See `Frame`."""
+        self.ui.page("/people/{person}/{visit}/{name}/review")(self.review)
+        self.app.get("/review/{person}/{visit}/{name}/{file}")(self.file)
+
+    async def review(self, person: str, visit: str, name: str) -> None:
+        """Show the result, the corrections, and a form for further ones."""
+        with self.frame(name, person, visit, name):
+            folder = self.store.path(person, visit, name)
+            if not (folder / MOTION / MOTION_FILE).is_file():
+                raise InvalidInputError(TEXTS.no_result)
+            self.ui.link(TEXTS.to_recording, f"/people/{person}/{visit}/{name}")
+            with self.ui.expansion(TEXTS.mend, value=True).classes("w-full"):
+                self.shown(
+                    lambda: (read_corrections(folder / RECORDING), self.store.take(folder).state, _waits(folder)),
+                    lambda show: self._made(folder, show),
+                )
+                self._form(folder)
+            if not _written(folder):
+                await self.run.cpu_bound(write_review, folder)
+            address = "/".join((self.prefix, "review", person, visit, name, "page"))
+            self.ui.element("iframe").props(f'src="{address}" title="{TEXTS.review}"').style("height: 110vh")
+
+    def file(self, person: str, visit: str, name: str, file: str) -> Any:
+        """Return the page of the result, or the video."""
+        answers = optional("starlette.responses", "app")
+        try:
+            folder = self.store.path(person, visit, name)
+            path = folder / REVIEW if file == "page" else Store.video(folder) if file == VIDEO else None
+        except RtofError as error:
+            return answers.PlainTextResponse(str(error), 404)
+        if path is None or not path.is_file() or path.is_symlink():
+            return answers.PlainTextResponse(TEXTS.no_file, 404)
+        return answers.FileResponse(path, headers={"cache-control": "no-store"})
+
+    def _made(self, folder: Path, show: Show) -> None:
+        """List the corrections, each of which can be taken back, and offer to solve again."""
+        made = read_corrections(folder / RECORDING)
+        for one in made:
+            with self.row():
+                self.ui.label(_words(one))
+                rest = [other for other in made if other is not one]
+                self.icon("undo", TEXTS.take_back.format(what=_words(one)), self._changing(folder, rest, show))
+        if _waits(folder) and self.store.take(folder).state not in AT_WORK:
+            with self.row():
+                self.ui.label(TEXTS.unsolved).props("role=status").classes("doubt")
+                self.button(TEXTS.solve_again, lambda: self._solve(folder))
+
+    def _form(self, folder: Path) -> None:
+        """Let a person add a correction; the range comes from the page below."""
+        ui = self.ui
+        sensors = [str(one["name"]) for one in read_summary(folder / MOTION / SUMMARY).inputs.get("sensors") or ()]
+        choices = dict(TEXTS.corrections) | {
+            f"leave_out {name}": TEXTS.leave_out_sensor.format(name=name) for name in sensors
+        }
+        with self.row():
+            kind = ui.select(choices, label=TEXTS.correction).classes("w-72")
+            start = ui.number(TEXTS.from_s, format="%.2f").classes("w-32")
+            stop = ui.number(TEXTS.to_s, format="%.2f").classes("w-32")
+            who = ui.input(TEXTS.who_mends, value=self.who).classes("w-32")
+            why = ui.input(TEXTS.why).classes("w-72")
+
+            def add() -> None:
+                if not kind.value or not who.value.strip() or not why.value.strip():
+                    raise InvalidInputError(TEXTS.incomplete)
+                name, _, what = kind.value.partition(" ")
+                if name not in _WITHOUT_SPAN and (start.value is None or (stop.value is None and name not in EVENTS)):
+                    raise InvalidInputError(TEXTS.no_range)
+                ReviewPages.who = who.value.strip()
+                now = datetime.now().isoformat(timespec="minutes")
+                ends = {"start_s": start.value, "stop_s": None if name in EVENTS else stop.value}
+                span: dict[str, Any] = {end: float(at) for end, at in ends.items() if at is not None}
+                one = Correction(name, what, who=ReviewPages.who, when=now, why=why.value.strip(), **span)
+                write_corrections(folder / RECORDING, [*read_corrections(folder / RECORDING), one])
+                why.value = ""
+
+            self.button(TEXTS.add_correction, add, why)
+
+        def chosen(event: Any) -> None:
+            start.value, stop.value = event.args
+
+        ui.on("range", chosen)
+        ui.add_body_html(f"<script>{_LISTEN}</script>")
+
+    def _changing(self, folder: Path, rest: list[Correction], show: Show) -> Callable[[], None]:
+        def change() -> None:
+            write_corrections(folder / RECORDING, rest)
+            show()
+
+        return change
+
+    def _solve(self, folder: Path) -> None:
+        self.work.ask(folder)
+        self.ui.navigate.to("/".join(("/people", *folder.relative_to(self.store.root).parts)))
+
+
+def _written(folder: Path) -> bool:
+    """Return whether the page of the result is there, and of this result."""
+    page, motion = folder / REVIEW, folder / MOTION / MOTION_FILE
+    return page.is_file() and page.stat().st_mtime >= motion.stat().st_mtime
+
+
+def _waits(folder: Path) -> bool:
+    """Return whether the recording was corrected after it was solved."""
+    index, motion = folder / RECORDING / INDEX, folder / MOTION / MOTION_FILE
+    return index.is_file() and index.stat().st_mtime > motion.stat().st_mtime
+
+
+def _words(one: Correction) -> str:
+    """Return a correction in the words of the page."""
+    usual = TEXTS.leave_out_sensor.format(name=one.what)
+    what = dict(TEXTS.corrections).get(f"{one.kind} {one.what}".strip(), usual)
+    _, _, rest = str(replace(one, kind="leave_out", what="it")).partition("leave out it")
+    return f"{what}{rest}"
