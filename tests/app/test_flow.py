@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from browser_support import BrowserPage, needs_browser
+from app_support import Server, Window
+from browser_support import needs_browser
 
 from rtof_kin.core.resources import model_path
 from rtof_kin.recording.recording import Recording
@@ -21,54 +18,6 @@ from rtof_kin.simulation.simulate import write_raw_files
 
 pytest.importorskip("nicegui")
 pytestmark = [needs_browser, pytest.mark.slow]
-TEXT = "(document.body?.innerText ?? '')"
-_CLICK = """
-[...document.querySelectorAll("button, a")]
-  .find(one => [one.innerText.trim(), one.getAttribute("aria-label")].includes(%s)).click()
-"""
-
-
-class Server:
-    """The command in a process of its own."""
-
-    def __init__(self, workspace: Path):
-        command = [sys.executable, "-m", "rtof_kin.cli", "app", "--workspace", str(workspace), "--no-browser"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ})
-        assert self.process.stdout is not None
-        found = re.search(r"http://\S+/", self.process.stdout.readline())
-        assert found is not None
-        self.address = found[0]
-
-    def end(self, how: signal.Signals = signal.SIGINT) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(how)
-        self.process.communicate(timeout=20)
-
-
-class Window(BrowserPage):
-    """A window of the application."""
-
-    def click(self, text: str) -> None:
-        named = f"[one.innerText.trim(), one.getAttribute('aria-label')].includes({json.dumps(text)})"
-        self.until(f"[...document.querySelectorAll('button, a')].some(one => {named})")
-        self.value(_CLICK % json.dumps(text))
-
-    def fill(self, label: str, text: str) -> None:
-        """Type into the input of a label, by the keyboard."""
-        found = f"document.querySelector('input[aria-label={json.dumps(label)}]')"
-        self.until(f"{found} !== null && window.socket?.connected && window.did_handshake")
-        self.value(f"(one => (one.focus(), one.select()))({found})")
-        self.call("Input.insertText", text=text)
-
-    def says(self, text: str, seconds: float = 20.0) -> None:
-        self.until(f"{TEXT}.includes({json.dumps(text)})", seconds)
-
-    def drop(self, *files: Path) -> None:
-        """Give files to the upload."""
-        self.until("document.querySelector('input[type=file]') !== null")
-        root = self.call("DOM.getDocument")["root"]["nodeId"]
-        node = self.call("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
-        self.call("DOM.setFileInputFiles", nodeId=node, files=[str(file) for file in files])
 
 
 @pytest.fixture(scope="module")
