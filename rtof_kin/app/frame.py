@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.app.store import State, Store
-from rtof_kin.app.texts import TEXTS
+from rtof_kin.app.texts import TEXTS, languages, speak
 from rtof_kin.app.work import Work
 from rtof_kin.core.errors import RtofError
 
@@ -62,12 +62,23 @@ class Frame:
                 ui.link(person, f"/people/{person}")
             ui.space()
             ui.link(TEXTS.trash, "/trash")
+            for code in languages().keys() - {TEXTS.code}:
+                self.button(
+                    languages()[code].language, lambda code=code: self.speak(code), props=f"flat dense lang={code}"
+                )
         with ui.column().props("role=main").classes("w-full"):
             self.heading(" / ".join(names) or title, 1)
             try:
                 yield
             except (RtofError, OSError) as error:
                 ui.label(str(error)).props("role=alert").classes("doubt text-lg")
+
+    def speak(self, code: str) -> None:
+        """Choose the language of the workspace."""
+        self.store.choose(language=code)
+        speak(code)
+        self.app.config.language = code
+        self.ui.navigate.reload()
 
     def shown(self, look: Callable[[], Any], *fills: Callable[[Show], None]) -> None:
         """Fill parts of a page, and again when what is looked at has changed, maybe in another window."""
@@ -101,9 +112,9 @@ class Frame:
             said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
             self.ui.notify(said, type="negative", multi_line=True, timeout=10_000)
 
-    def button(self, text: str, action: Callable[..., Any], *fields: Any) -> None:
+    def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> None:
         """A button; Enter in one of the fields presses it too."""
-        self.ui.button(text, on_click=lambda: self.tried(action)).props("no-caps")
+        self.ui.button(text, on_click=lambda: self.tried(action)).props(f"no-caps {props}")
         for field in fields:
             field.on("keydown.enter", lambda: self.tried(action))
 
@@ -144,7 +155,7 @@ class Frame:
     def chip(self, folder: Path) -> None:
         """The state of a recording."""
         state = self.store.take(folder).state
-        self.ui.badge(state.value, color=_COLOURS[state]).classes("text-sm p-1")
+        self.ui.badge(dict(TEXTS.states)[state.value], color=_COLOURS[state]).classes("text-sm p-1")
 
     def height(self, person: str) -> str:
         """Return what is known of the height of a person."""

@@ -14,7 +14,7 @@ from rtof_kin.app.people import PeoplePages
 from rtof_kin.app.review import ReviewPages
 from rtof_kin.app.store import Store
 from rtof_kin.app.take import TakePages
-from rtof_kin.app.texts import TEXTS
+from rtof_kin.app.texts import TEXTS, speak
 from rtof_kin.app.work import Work
 from rtof_kin.core.files.folder import only_one
 from rtof_kin.core.files.manifest import make_folders
@@ -90,6 +90,7 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
         OutputExistsError: another process serves this workspace. RtofError: it cannot be made.
     """
     store, door = Store(workspace), Door()
+    speak(store.settings.language)
     with only_one(store.root / _LOCK, str(store.root)), listening(port) as opening:
         uploads = store.root / _UPLOADS
         shutil.rmtree(uploads, ignore_errors=True)  # of a server that was killed
@@ -102,7 +103,7 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
         try:
             for pages in (PeoplePages, TakePages, ReviewPages):
                 pages(nicegui, store, work, door.path.rstrip("/"))
-            nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language="en-US", show_welcome_message=False)
+            nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language=TEXTS.code, show_welcome_message=False)
             root = f"http://{LOOPBACK}:{opening.getsockname()[1]}"
             if opened is not None:
                 opened(root + door.path, root + door.ticket)

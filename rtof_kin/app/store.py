@@ -10,6 +10,7 @@
                     files/          as they were dropped
                     take.json       state, and what the files do not say; written anew where it is missing
         .trash/ID/                  what was deleted, and the place where it was
+        .settings.json              `Settings`
 """
 
 from __future__ import annotations
@@ -39,12 +40,11 @@ from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 FILES: Final = "files"
 SUBJECT: Final = "subject.toml"
-_TAKE, _TRASH, _ITEM, _ORIGIN = "take.json", ".trash", "item", "origin.txt"
+_TAKE, _TRASH, _ITEM, _ORIGIN, _SETTINGS = "take.json", ".trash", "item", "origin.txt", ".settings.json"
 _NAME: Final = re.compile(r"\w[\w-]{0,63}")
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _NO_FILE: Final = re.compile(r"[\\/:*?\"<>|]|^[.\s-]|[.\s]$")
 _LONGEST: Final = 200  # [bytes] of the name of a file
-_KINDS: Final = ("person", "visit", "recording")
 
 
 class State(Enum):
@@ -73,6 +73,13 @@ class Take(BaseModel, frozen=True):
     seconds: dict[str, float] = {}  #: How long each stage took, s, in their order
 
 
+class Settings(BaseModel, frozen=True):
+    """What was chosen for a workspace."""
+
+    language: str = ""  #: Of `texts.languages`; that of the machine where it is none of them
+    toured: bool = False  #: The tour was put away
+
+
 class Store:
     """The workspace. Names that could lead elsewhere are refused by `InvalidInputError`."""
 
@@ -86,11 +93,24 @@ class Store:
         except OSError as error:
             raise RtofError(f"{self.root}: cannot be a workspace ({error}); name another folder") from error
 
+    @property
+    def settings(self) -> Settings:
+        """What was chosen; as at first where it is missing or damaged."""
+        try:
+            return Settings.model_validate_json(read_text(self.root / _SETTINGS, "JSON"))
+        except (FileFormatError, ValidationError):
+            return Settings()
+
+    def choose(self, **values: Any) -> None:
+        """Change what was chosen."""
+        chosen = self.settings.model_copy(update=values)
+        write_text(self.root / _SETTINGS, chosen.model_dump_json(indent=1) + "\n", overwrite=True)
+
     def path(self, *names: str) -> Path:
         """Return the folder of a person, of a visit or of a recording, which is there."""
         path = self._place(*names)
         if not path.is_dir():
-            raise InvalidInputError(TEXTS.not_there.format(kind=_KINDS[len(names) - 1], name=names[-1]))
+            raise InvalidInputError(TEXTS.not_there.format(kind=TEXTS.levels[len(names) - 1], name=names[-1]))
         return path
 
     def names(self, *above: str) -> list[str]:
@@ -226,7 +246,7 @@ class Store:
             path /= name
             if path.is_symlink():
                 raise InvalidInputError(TEXTS.is_link.format(name=name))
-        if not 1 <= len(names) <= len(_KINDS):
+        if not 1 <= len(names) <= len(TEXTS.levels):
             raise InvalidInputError(TEXTS.bad_name.format(name=repr("/".join(names)[:60])))
         return path
 

@@ -1,9 +1,13 @@
-"""All texts of the application in English; another language is another `Texts`."""
+"""All texts of the application in English; another language is another `Texts`.
+
+`TEXTS` are those of the language that was chosen last in this process: read them where they are shown, not at import.
+"""
 
 from __future__ import annotations
 
+import locale
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, cast
 
 
 @dataclass(frozen=True)
@@ -11,6 +15,17 @@ class Texts:
     """The catalogue. Names in braces are filled in."""
 
     title: str = "rtof-kin"
+    code: str = "en-US"  # as HTML and Quasar name the language
+    language: str = "English"  # in itself
+    levels: tuple[str, ...] = ("person", "visit", "recording")
+    states: tuple[tuple[str, str], ...] = (
+        ("draft", "draft"),
+        ("waiting", "waiting"),
+        ("running", "running"),
+        ("done", "done"),
+        ("needs attention", "needs attention"),
+        ("failed", "failed"),
+    )
     # store
     bad_name: str = "{name}: use 1 to 64 letters, digits, - and _, and begin with a letter or digit"
     bad_file_name: str = "{name}: a file of this name is not taken; rename it to letters, digits, - and _"
@@ -124,4 +139,27 @@ class Texts:
     )
 
 
-TEXTS: Final = Texts()
+class _Chosen:
+    def __init__(self) -> None:
+        self.texts = Texts()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.texts, name)
+
+
+_chosen: Final = _Chosen()
+TEXTS: Final = cast(Texts, _chosen)
+
+
+def languages() -> dict[str, Texts]:
+    """Return the catalogues by their codes."""
+    from rtof_kin.app.german import GERMAN  # is made of `Texts`
+
+    return {texts.code: texts for texts in (Texts(), GERMAN)}
+
+
+def speak(code: str = "") -> None:
+    """Choose the language of this process; by default that of the machine, else English."""
+    known = languages()
+    local = (locale.getlocale()[0] or "").lower()  # German_Germany on Windows
+    _chosen.texts = known.get(code) or known["de" if local.startswith(("de_", "german")) else "en-US"]
