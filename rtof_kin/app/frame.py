@@ -27,6 +27,7 @@ _STYLE: Final = """
   .nicegui-content { max-width: 70rem; margin: 0 auto; }
   a { display: inline-block; line-height: 40px; color: #1565c0 !important; }
   .body--dark a { color: #90caf9 !important; }
+  .body--dark .text-primary { color: #90caf9 !important; }
   a:focus-visible, button:focus-visible { outline: 3px solid #1565c0; outline-offset: 2px; }
   .doubt { color: #b00020; }
   .body--dark .doubt { color: #ff8a80; }
@@ -112,11 +113,12 @@ class Frame:
             said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
             self.ui.notify(said, type="negative", multi_line=True, timeout=10_000)
 
-    def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> None:
-        """A button; Enter in one of the fields presses it too."""
-        self.ui.button(text, on_click=lambda: self.tried(action)).props(f"no-caps {props}")
+    def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> Any:
+        """A button, which is returned; Enter in one of the fields presses it too."""
+        button = self.ui.button(text, on_click=lambda: self.tried(action)).props(f"no-caps {props}")
         for field in fields:
             field.on("keydown.enter", lambda: self.tried(action))
+        return button
 
     def icon(self, icon: str, said: str, action: Callable[..., Any]) -> None:
         """A button with a picture; `said`: what it does, for a screen reader."""

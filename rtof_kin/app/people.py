@@ -6,6 +6,7 @@ from datetime import date
 from typing import Any
 
 from rtof_kin.app.frame import Frame, Show
+from rtof_kin.app.start import welcome
 from rtof_kin.app.texts import TEXTS
 
 
@@ -40,6 +41,7 @@ class PeoplePages(Frame):
                 name = self.ui.input(TEXTS.identifier)
                 height = self.ui.number(TEXTS.height, min=40, max=260).classes("w-56")
                 self.button(TEXTS.add_person, add, name, height)
+            welcome(self)
 
     def person(self, person: str) -> None:
         """Visits and recordings of a person, and forms for further ones."""

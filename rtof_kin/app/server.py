@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -12,12 +14,15 @@ from typing import Any, Final
 
 from rtof_kin.app.people import PeoplePages
 from rtof_kin.app.review import ReviewPages
+from rtof_kin.app.start import StartPages
 from rtof_kin.app.store import Store
 from rtof_kin.app.take import TakePages
 from rtof_kin.app.texts import TEXTS, speak
 from rtof_kin.app.work import Work
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import only_one
 from rtof_kin.core.files.manifest import make_folders
+from rtof_kin.core.files.text import write_text
 from rtof_kin.core.local_door import LOOPBACK, Door, listening
 from rtof_kin.core.packages import optional
 
@@ -32,7 +37,7 @@ HEADERS: Final = {
     "x-content-type-options": "nosniff",
 }
 """Of every answer that has none of its own: nothing is fetched from, and shown in, another site."""
-_LOCK, _UPLOADS, _SETTINGS = ".app.lock", ".uploads", ".nicegui"
+_LOCK, _UPLOADS, _SETTINGS, _TOKEN = ".app.lock", ".uploads", ".nicegui", ".token"
 
 
 class Guarded:
@@ -77,21 +82,34 @@ def _with_headers(send: Send) -> Send:
     return sent
 
 
-def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], None] | None = None) -> None:
+def serve(
+    workspace: str | Path,
+    port: int = 0,
+    opened: Callable[[str, str], None] | None = None,
+    behind: str = "",
+    host: str = LOOPBACK,
+) -> None:
     """Serve the application until the process is interrupted or told to end.
 
     Args:
         workspace: folder for people, visits and recordings; made if it is not there.
         port: of the page; 0: a free one.
         opened: called with the address, and with the one that leads there once, to start a browser with.
+        behind: address of a proxy with a certificate, as https://kin.clinic.example, by which alone it is reached; the
+            token is then kept in the workspace.
+        host: that it listens on; another one than this machine alone only behind a proxy.
 
     Raises:
         MissingPackageError: the extra is not installed. SourceError: the port is taken.
         OutputExistsError: another process serves this workspace. RtofError: it cannot be made.
+        InvalidInputError: `behind` is no such address, or is missing where others reach `host`.
     """
-    store, door = Store(workspace), Door()
+    if host != LOOPBACK and not behind:
+        raise InvalidInputError(f"--host {host}: others would see all that is sent; give --behind, the proxy's address")
+    store = Store(workspace)
     speak(store.settings.language)
-    with only_one(store.root / _LOCK, str(store.root)), listening(port) as opening:
+    with only_one(store.root / _LOCK, str(store.root)), listening(port, host) as opening:
+        door = Door(behind, _kept_token(store.root / _TOKEN) if behind else "")
         uploads = store.root / _UPLOADS
         shutil.rmtree(uploads, ignore_errors=True)  # of a server that was killed
         make_folders(uploads)
@@ -101,10 +119,10 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
         nicegui.run.process_pool_start_method = "spawn"  # this process has threads
         app, work = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Work(store)
         try:
-            for pages in (PeoplePages, TakePages, ReviewPages):
+            for pages in (PeoplePages, TakePages, ReviewPages, StartPages):
                 pages(nicegui, store, work, door.path.rstrip("/"))
             nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language=TEXTS.code, show_welcome_message=False)
-            root = f"http://{LOOPBACK}:{opening.getsockname()[1]}"
+            root = behind or f"http://{LOOPBACK}:{opening.getsockname()[1]}"
             if opened is not None:
                 opened(root + door.path, root + door.ticket)
             quiet: dict[str, Any] = {"log_level": "error", "server_header": False, "timeout_graceful_shutdown": 1}
@@ -112,3 +130,12 @@ def serve(workspace: str | Path, port: int = 0, opened: Callable[[str, str], Non
             uvicorn.Server(config).run(sockets=[opening])
         finally:
             work.close()
+
+
+def _kept_token(path: Path) -> str:
+    """Return the token of a workspace behind a proxy, which is the same after a new start."""
+    kept = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    if not re.fullmatch(r"[\w-]{22,}", kept, re.ASCII):
+        kept = secrets.token_urlsafe(24)
+        write_text(path, kept, overwrite=True)
+    return kept

@@ -137,6 +137,62 @@ class Texts:
         ("imu", "solving the motion by the sensors"),
         ("certificate", "checking by left-out sensors"),
     )
+    # first steps
+    to_start: str = "First steps, language and a check of this computer"
+    start: str = "First steps"
+    language_of: str = "Language"
+    tour: str = "Five steps from a person to a report"
+    steps: tuple[tuple[str, str], ...] = (
+        ("1. Person and visit", "Add a person by an identifier and the height, then a visit."),
+        ("2. Record", "One camera that stands still; the whole body in view. Sensors on limbs make it better."),
+        ("3. Drop the files", "The video and the sensors' files. What is missing is said."),
+        ("4. Reconstruct", "Press the button. It takes some minutes, and goes on when the window is closed."),
+        (
+            "5. Read the report",
+            "Joint angles with bands: within them the true angle is expected. Read what is in doubt.",
+        ),
+    )
+    put_away: str = "Understood, do not show this again"
+    demo_title: str = "Try it without a camera"
+    demo_about: str = (
+        "A person “demo” with 24 s of exercises that come with the application: image points and eight "
+        "simulated sensors of a real movement (CMU motion capture, mocap.cs.cmu.edu). Then press Reconstruct."
+    )
+    demo: str = "Try the demo"
+    check: str = "Check of this computer"
+    looking: str = "looking ..."
+    good: str = "good"
+    missing: str = "missing"
+    at_hand: str = "It is at hand."
+    not_installed: str = "It is not installed."
+    not_fetched: str = "It is not on this computer."
+    no_answer: str = "There was no answer."
+    nothing: str = "None was found."
+    gigabytes: str = "{size:.0f} GB are free."
+    detector: str = "Finding people in a video: {title}"
+    fetch_todo: str = "Only videos need it; keypoints and sensors do not."
+    terms: str = (
+        "{title}: {size} MB from {places}. Licence: {licence}. Nothing is sent but the request for these files."
+    )
+    fetch: str = "Agree and fetch {size} MB"
+    fetching: str = "{done} of {total} MB"
+    pdf: str = "A browser for PDF files"
+    pdf_todo: str = "Install Chromium, Chrome or Edge; or print the report to a PDF from the browser that you have."
+    disk: str = "Space on the disk of the workspace"
+    disk_todo: str = "Free some space, or choose another workspace."
+    memory: str = "Memory"
+    memory_todo: str = "Close other programs during a reconstruction."
+    cameras: str = "Cameras"
+    cameras_todo: str = (
+        "Connect a camera, close other programs that use it, and allow it in the settings of the system."
+    )
+    streams: str = "Streams of sensors (LSL)"
+    streams_todo: str = "Start the program that sends them, in the same network. Only live recordings need them."
+    devices: str = "Look for cameras and sensors"
+    devices_about: str = (
+        "This switches each camera on for a moment, and asks the local network for streams of sensors. "
+        "Nothing else is contacted."
+    )
 
 
 class _Chosen:

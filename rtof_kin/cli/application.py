@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from rtof_kin.cli.options import Browser, command
 from rtof_kin.cli.terminal import ended_by_signals, line
+from rtof_kin.core.local_door import LOOPBACK
 
 
 @command
@@ -19,6 +20,8 @@ def app(
     workspace: Annotated[Path, Parameter(metavar="FOLDER")] = Path("~/rtof-kin"),
     port: Annotated[int, Parameter(metavar="N")] = 0,
     browser: Browser = True,
+    behind: Annotated[str, Parameter(metavar="URL")] = "",
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
 ) -> None:
     """People, visits and recordings in the browser: drop a video, get a report.
 
@@ -28,14 +31,18 @@ def app(
     Args:
         workspace: folder for people and recordings, of this user alone; made if it is not there
         port: of the page; 0: a free one
+        behind: address of a proxy with a certificate, as https://kin.clinic.example: pages come by this name alone, and
+            the token is kept in the workspace
+        host: that it listens on; others than this machine only with --behind
     """
     from rtof_kin.app.server import serve
 
     def opened(address: str, once: str) -> None:
-        line("address", f"{address} (this machine only, to who has this address; Ctrl-C ends)")
+        seen = f"by the proxy on {host}" if behind else "this machine only"
+        line("address", f"{address} ({seen}, to who has this address; Ctrl-C ends)")
         line("files", str(workspace.expanduser().resolve()))
-        if browser:
+        if browser and not behind:
             webbrowser.open(once)
 
     with ended_by_signals(), suppress(KeyboardInterrupt):
-        serve(workspace, port, opened)
+        serve(workspace, port, opened, behind, host)

@@ -3,6 +3,8 @@
 The address has a secret token, so that other users of the machine get nothing. A browser names the host that
 it asked for, and the page that asks: only addresses of numbers or ``localhost``, and only the server's own
 page, so that no other page in the same browser can read, also not one whose name points to this machine.
+
+Behind a proxy that has the name and the certificate, only that name and pages of it are let in; the token stays.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Final
 
-from rtof_kin.core.errors import SourceError
+from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.core.packages import optional
 
 if TYPE_CHECKING:
@@ -23,14 +25,21 @@ if TYPE_CHECKING:
 
 LOOPBACK: Final = "127.0.0.1"
 _HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
+_BEHIND: Final = re.compile(rf"https://{_HOST.pattern}", re.IGNORECASE)
 
 
 class Door:
     """Lets in who has the token; for servers of the package ``websockets``."""
 
-    def __init__(self) -> None:
-        """Make a token."""
-        self._token, self._ticket = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
+    def __init__(self, behind: str = "", token: str = "") -> None:
+        """Make a token, unless there is one.
+
+        `behind`: address of a proxy, as https://kin.clinic.example; `InvalidInputError` if it is not https and a name.
+        """
+        if behind and not _BEHIND.fullmatch(behind):
+            raise InvalidInputError(f"{behind}: give https:// and a name alone, as https://kin.clinic.example")
+        self._behind = behind.lower()
+        self._token, self._ticket = token or secrets.token_urlsafe(16), secrets.token_urlsafe(16)
 
     @property
     def path(self) -> str:
@@ -71,12 +80,15 @@ class Door:
             return HTTPStatus.FOUND, self.path
         if not _same(key, self._token):
             return HTTPStatus.FORBIDDEN, "use the whole address that was printed"
-        if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0]}".lower()]:
+        own = self._behind or f"http://{hosts[0]}".lower()
+        if origins and [origin.lower() for origin in origins] != [own]:
             return HTTPStatus.FORBIDDEN, "another page may not read here"
         return None
 
     def _trusts(self, host: str) -> bool:
         """Return whether a name cannot be that of a foreign page which points to this machine."""
+        if self._behind:
+            return f"https://{host}".lower() == self._behind
         found = _HOST.fullmatch(host)
         if found is None:
             return False
@@ -94,15 +106,17 @@ def _same(key: str, secret: str) -> bool:
     return secrets.compare_digest(key.encode(errors="replace"), secret.encode())
 
 
-def listening(port: int) -> socket.socket:
-    """Return a socket that listens on this machine alone, at a free port if `port` is 0; `SourceError` if taken."""
+def listening(port: int, host: str = LOOPBACK) -> socket.socket:
+    """Return a socket that listens, by default on this machine alone, at a free port if `port` is 0; `SourceError` if
+    taken.
+    """
     try:
         if not 0 <= port < 1 << 16:
             raise OSError("a port is a number up to 65535")
-        return socket.create_server((LOOPBACK, port))
+        return socket.create_server((host, port))
     except OSError as error:
         raise SourceError(
-            f"{LOOPBACK}:{port}: cannot serve there ({error}); end the other program, or give another port"
+            f"{host}:{port}: cannot serve there ({error}); end the other program, or give another port"
         ) from error
 
 

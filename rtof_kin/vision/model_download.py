@@ -26,7 +26,7 @@ from rtof_kin.core.resources import cache_folder, model_path
 Progress = Callable[[str, int, int], None]
 _PIECE = 2**18  # bytes
 _WAIT = 30.0  # [s] for the server
-_AGAIN = "run the same command again"
+_AGAIN = "try again"
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from rtof_kin.app.server import HEADERS, Guarded, serve
-from rtof_kin.core.errors import MissingPackageError, OutputExistsError, SourceError
+from rtof_kin.app.server import HEADERS, Guarded, _kept_token, serve
+from rtof_kin.core.errors import InvalidInputError, MissingPackageError, OutputExistsError, SourceError
 from rtof_kin.core.files.folder import only_one
 from rtof_kin.core.local_door import Door
 
@@ -92,6 +92,60 @@ def test_ticket_leads_to_the_page_once() -> None:
     assert asked(door, ticket, kind="websocket")[0]["type"] == "websocket.close"
     assert dict(asked(door, ticket)[0]["headers"])[b"location"].decode() == door.path
     assert asked(door, ticket)[0]["status"] == 403
+
+
+NAME = "kin.clinic.example"
+
+
+@pytest.mark.parametrize(
+    ("path", "host", "origins", "status"),
+    [
+        ("TOKEN", NAME, [f"https://{NAME}"], 200),
+        ("TOKEN", NAME.upper(), [], 200),
+        ("/wrong/", NAME, [], 403),
+        ("TOKEN", HOST, [f"http://{HOST}"], 421),
+        ("TOKEN", "localhost", [], 421),
+        ("TOKEN", f"{NAME}:8443", [], 421),
+        ("TOKEN", f"{NAME}.evil.example", [], 421),
+        ("TOKEN", NAME, [f"http://{NAME}"], 403),
+        ("TOKEN", NAME, ["https://evil.example"], 403),
+        ("TOKEN", NAME, [f"http://{HOST}"], 403),
+    ],
+)
+def test_behind_a_proxy_only_its_name_is_let_in_and_the_token_is_asked(
+    path: str, host: str, origins: list[str], status: int
+) -> None:
+    door = Door(f"https://{NAME}")
+    path = path.replace("TOKEN", door.path)
+    assert asked(door, path, host, origins)[0]["status"] == status
+    (sent,) = asked(door, path, host, origins, "websocket")
+    assert sent["type"] == ("websocket.accept" if status == 200 else "websocket.close")
+
+
+@pytest.mark.parametrize(
+    "behind", ["http://x.example", "https://x.example/kin", "https://", "x.example", "https://a b"]
+)
+def test_address_of_a_proxy_is_https_and_a_name(behind: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="https:// and a name alone"):
+        serve(tmp_path, behind=behind)
+
+
+def test_others_reach_it_only_behind_a_proxy(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="give --behind"):
+        serve(tmp_path, host="0.0.0.0")
+    assert not list(tmp_path.iterdir())
+
+
+def test_token_behind_a_proxy_is_kept_and_a_damaged_one_is_made_anew(tmp_path: Path) -> None:
+    file = tmp_path / ".token"
+    first = _kept_token(file)
+    assert _kept_token(file) == first
+    assert Door(f"https://{NAME}", first).path == f"/{first}/"
+    for damage in ("", "short", "a/" * 20, "\N{COMBINING ACUTE ACCENT}" * 30):
+        file.write_text(damage, encoding="utf-8")
+        made = _kept_token(file)
+        assert len(made) == len(first)
+        assert made not in (first, damage)
 
 
 def test_workspace_has_one_server(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_models_are_fetched_once_and_checked_at_each_use(server: Server) -> None
 
 def test_an_interrupted_download_keeps_nothing_and_can_be_repeated(server: Server) -> None:
     models, server.most = wanted(server), 400_000
-    with pytest.raises(RtofError, match=r"Test models: not downloaded \(.*\); run the same command again"):
+    with pytest.raises(RtofError, match=r"Test models: not downloaded \(.*\); try again"):
         fetch_models(models)
     assert [path.name for path in models_folder(models).iterdir()] == [".lock"]
     server.most = None
@@ -150,10 +150,10 @@ def test_nothing_is_fetched_for_a_detector_that_cannot_run(server: Server) -> No
 def test_no_server_and_no_file_are_one_sentence(server: Server) -> None:
     models = wanted(server)
     gone = replace(models.files[0], url=f"{server.url}/gone.task")
-    with pytest.raises(RtofError, match=r"Test models: not downloaded \(404 .*gone.task\); run the same"):
+    with pytest.raises(RtofError, match=r"Test models: not downloaded \(404 .*gone.task\); try again"):
         fetch_models(replace(models, files=(gone,)))
     closed = replace(models.files[0], url="http://127.0.0.1:9/plain.task")
-    with pytest.raises(RtofError, match=r"Test models: not downloaded \(.*refused.*\); run the same"):
+    with pytest.raises(RtofError, match=r"Test models: not downloaded \(.*refused.*\); try again"):
         fetch_models(replace(models, files=(closed,)))
 
 

@@ -1,0 +1,273 @@
+"""Page of the first steps: five of them in pictures, the demo, and a check of this computer."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+from urllib.parse import urlparse
+
+from rtof_kin.app.frame import EVERY, Frame, Show
+from rtof_kin.app.store import Store
+from rtof_kin.app.texts import TEXTS, languages
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.manifest import make_private
+from rtof_kin.core.jobs.memory import available_memory
+from rtof_kin.core.packages import install
+from rtof_kin.core.resources import model_path
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.simulate import write_raw_files
+from rtof_kin.vision.model_download import ModelSet, cached_models, fetch_models, model_sets
+
+_PERSON, _TAKE = "demo", "exercises"
+_LONGEST: Final = 20.0  # [s] of looking for cameras or streams
+_LEAST: Final = 4.0  # [1e9 bytes] of memory, and on the disk
+_CAMERAS: Final = "import cv2; found = [str(i) for i in range(4) if cv2.VideoCapture(i).read()[0]]"
+_STREAMS: Final = "import pylsl; found = sorted({one.name() for one in pylsl.resolve_streams(2.0)})"
+_BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+_PLACES: Final = (  # of those that are not on the path
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
+    "C:/Program Files/Google/Chrome/Application/chrome.exe",
+    "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
+)
+_FIGURE: Final = '<circle cx="30" cy="13" r="6"/><path d="M30 19v25m-12-9l12-10 12 10m-12 9l-9 24m9-24l9 24"/>'
+_SENSORS: Final = '<path d="M18 31l4-4m16 0l4 4M24 56l2-6m8 0l2 6" stroke-width="7"/>'
+_PHONE: Final = '<rect x="74" y="16" width="14" height="25" rx="2"/><path d="M81 41v9l-8 18m8-18l8 18"/>'
+_CURVE: Final = '<path d="M30 52c10-22 18-22 24-8s10 10 16-6"/>'
+_PICTURES: Final = (  # of the five steps
+    f'{_FIGURE}<rect x="56" y="18" width="38" height="28" rx="3"/><path d="M62 27h26m-26 9h16"/>',
+    f'{_FIGURE}{_SENSORS}{_PHONE}<path d="M71 28L46 13m25 15L46 62" stroke-dasharray="3 4"/>',
+    '<path d="M16 34h22l6 6h40v28H16zM50 6v22m-8-8l8 9 8-9"/>',
+    '<g stroke-width="9"><path d="M14 18h72M14 38h72M14 58h72" opacity=".25"/><path d="M14 18h72M14 38h46"/></g>',
+    f'<path d="M22 5h56v66H22zM30 15h26m-26 7h16"/>{_CURVE}<g stroke-width="11" opacity=".25">{_CURVE}</g>',
+)
+_SVG: Final = (
+    '<svg viewBox="0 0 100 76" aria-hidden="true" fill="none" stroke="currentColor" stroke-width="2.5" '
+    'stroke-linecap="round" stroke-linejoin="round" style="width:100%;max-height:6rem">{}</svg>'
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One line of the check: whether it is good, what was looked at, what was found, and what to do."""
+
+    good: bool
+    what: str
+    said: str
+    todo: str = ""
+    models: str = ""  #: Name of a set of models that is meant
+
+
+def welcome(frame: Frame) -> None:
+    """Where nobody is there yet: the five steps and the demo; always a link to the page."""
+    if not frame.store.names():
+        tour(frame)
+        _demo(frame)
+    frame.ui.link(TEXTS.to_start, "/start")
+
+
+def tour(frame: Frame) -> None:
+    """The five steps, until they are put away."""
+    if frame.store.settings.toured:
+        return
+    with frame.ui.element("section").classes("w-full") as section:
+        frame.heading(TEXTS.tour, 2)
+        with frame.ui.element("ol").classes("grid grid-cols-1 sm:grid-cols-3 md:grid-cols-5 gap-4 py-4"):
+            for picture, (title, words) in zip(_PICTURES, TEXTS.steps, strict=True):
+                with frame.ui.element("li"):
+                    frame.ui.html(_SVG.format(picture), sanitize=False).classes("text-primary")
+                    frame.ui.label(title).classes("text-lg")
+                    frame.ui.label(words)
+
+        def put_away() -> None:
+            frame.store.choose(toured=True)
+            section.delete()
+
+        frame.button(TEXTS.put_away, put_away, props="outline")
+
+
+def _demo(frame: Frame) -> None:
+    async def add() -> None:
+        folder = await frame.run.io_bound(add_demo, frame.store)
+        frame.ui.navigate.to("/".join(("/people", *folder.relative_to(frame.store.root).parts)))
+
+    frame.heading(TEXTS.demo_title, 2)
+    frame.ui.label(TEXTS.demo_about)
+    frame.button(TEXTS.demo, add)
+
+
+def add_demo(store: Store) -> Path:
+    """Add the demo as raw files, as a recording of today of a person of its own, and return its folder."""
+    day = date.today().isoformat()
+    if _PERSON in store.names() and day in store.names(_PERSON) and _TAKE in store.names(_PERSON, day):
+        return store.path(_PERSON, day, _TAKE)
+    recording = Recording.load(model_path("demo"))
+    with TemporaryDirectory() as place:
+        raw = Path(place) / "raw"
+        write_raw_files(recording, raw)
+        if _PERSON not in store.names():
+            store.add_person(_PERSON, recording.skeleton.height)
+        if day not in store.names(_PERSON):
+            store.add_visit(_PERSON, day)
+        folder = store.add_take(_PERSON, day, _TAKE)
+        for path in filter(Path.is_file, raw.rglob("[!.]*")):
+            make_private(Path(shutil.move(path, store.new_file(folder, path.name))))
+    return folder
+
+
+# --- the check ---------------------------------------------------------------------------------------------------
+
+
+def of_this_machine(store: Store) -> list[Found]:
+    """What can be seen without asking anybody: detectors, browser, disk, memory."""
+    browser = pdf_browser()
+    found = [_of_detector(wanted) for wanted in model_sets() if wanted == model_sets()[0] or not wanted.missing]
+    found.append(Found(browser is not None, TEXTS.pdf, browser or TEXTS.nothing, TEXTS.pdf_todo))
+    for what, size, todo in (
+        (TEXTS.disk, shutil.disk_usage(store.root).free, TEXTS.disk_todo),
+        (TEXTS.memory, available_memory(), TEXTS.memory_todo),
+    ):
+        if size is not None:
+            found.append(Found(size / 1e9 >= _LEAST, what, TEXTS.gigabytes.format(size=size / 1e9), todo))
+    return found
+
+
+def pdf_browser() -> str | None:
+    """Return a browser that can write a PDF without a window."""
+    return next(filter(None, map(shutil.which, (*_BROWSERS, *_PLACES))), None)
+
+
+def _of_detector(wanted: ModelSet) -> Found:
+    what = TEXTS.detector.format(title=wanted.title)
+    if wanted.missing:
+        return Found(False, what, TEXTS.not_installed, wanted.install)
+    try:
+        folder = cached_models(wanted)
+    except RtofError as error:
+        return Found(False, what, str(error))
+    return Found(
+        folder is not None, what, TEXTS.at_hand if folder else TEXTS.not_fetched, TEXTS.fetch_todo, wanted.name
+    )
+
+
+def devices() -> list[Found]:
+    """Cameras that can be opened, and streams that answer; each in a process of its own, which may hang or crash."""
+    whats = (
+        (_CAMERAS, TEXTS.cameras, TEXTS.cameras_todo, "app"),
+        (_STREAMS, TEXTS.streams, TEXTS.streams_todo, "live"),
+    )
+    return [_looked(*what) for what in whats]
+
+
+def _looked(code: str, what: str, todo: str, extra: str) -> Found:
+    command = [sys.executable, "-P", "-c", f"{code}; import json; print(json.dumps(found))"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
+    except subprocess.TimeoutExpired:
+        return Found(False, what, TEXTS.no_answer, todo)
+    if done.returncode:
+        missing = "ModuleNotFoundError" in done.stderr
+        return Found(
+            False, what, TEXTS.not_installed if missing else TEXTS.no_answer, install(extra) if missing else todo
+        )
+    found = json.loads(done.stdout.splitlines()[-1])
+    return Found(bool(found), what, ", ".join(found) or TEXTS.nothing, todo)
+
+
+class StartPages(Frame):
+    """The page of the first steps."""
+
+    def serve(self) -> None:
+        """See `Frame`."""
+        self._fetching: dict[str, tuple[int, int]] = {}  # name of a set of models -> megabytes done, and in all
+        self.ui.page("/start")(self.start)
+
+    def start(self) -> None:
+        """Language, the five steps, the demo, the check."""
+        found: dict[str, list[Found] | None] = {"here": None}  # None: it is being looked for
+
+        async def look(name: str, action: Callable[[], list[Found]]) -> None:
+            found[name] = None
+            found[name] = await self.run.io_bound(action)
+
+        def here() -> Awaitable[None]:
+            return look("here", lambda: of_this_machine(self.store))
+
+        def lines(name: str) -> None:
+            def fill(_: Show) -> None:
+                if found.get(name, ()) is None:
+                    self.ui.label(TEXTS.looking).props("role=status")
+                for one in found.get(name) or ():
+                    self._line(one)
+
+            self.shown(lambda: found.get(name), fill)
+
+        def again() -> None:
+            self.store.choose(toured=False)
+            self.ui.navigate.reload()
+
+        with self.frame(TEXTS.start):
+            names = {code: texts.language for code, texts in languages().items()}
+            chosen = self.ui.radio(names, value=TEXTS.code, on_change=lambda event: self.speak(event.value))
+            chosen.props(f'inline aria-label="{TEXTS.language_of}"')
+            tour(self)
+            if self.store.settings.toured:
+                self.button(TEXTS.tour, again)
+            _demo(self)
+            self.heading(TEXTS.check, 2)
+            lines("here")
+            for wanted in model_sets():
+                if not wanted.missing:
+                    self._fetch(wanted, found, here)
+            self.ui.label(TEXTS.devices_about)
+            self.button(TEXTS.devices, lambda: look("devices", devices))
+            lines("devices")
+            self.ui.timer(0, here, once=True)
+
+    def _line(self, one: Found) -> None:
+        with self.row().classes("no-wrap"):
+            self.ui.icon("check_circle" if one.good else "error_outline", size="sm").props("aria-hidden=true")
+            word = TEXTS.good if one.good else TEXTS.missing
+            with self.ui.column().classes("gap-0"):
+                self.ui.label(f"{one.what}: {word}. {one.said}").classes("" if one.good else "doubt")
+                if one.todo and not one.good:
+                    self.ui.label(one.todo)
+
+    def _fetch(
+        self, wanted: ModelSet, found: dict[str, list[Found] | None], then: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Offer a set of models that is missing; what is fetched goes on without this window."""
+        name, places = wanted.name, sorted({urlparse(file.url).netloc for file in wanted.files})
+
+        def progress(_: str, done: int, total: int) -> None:
+            self._fetching[name] = done, total
+
+        async def fetch() -> None:
+            progress("", 0, wanted.megabytes)
+            try:
+                await self.run.io_bound(fetch_models, wanted, progress)
+            finally:
+                del self._fetching[name]
+            await then()
+
+        def update() -> None:
+            at = self._fetching.get(name)
+            part.set_visibility(any(one.models == name and not one.good for one in found["here"] or ()))
+            button.set_visibility(at is None)
+            line.text = "" if at is None else TEXTS.fetching.format(done=at[0], total=at[1])
+
+        with self.ui.column() as part:
+            terms = {"title": wanted.title, "licence": wanted.licence, "size": wanted.megabytes}
+            self.ui.label(TEXTS.terms.format(**terms, places=", ".join(places)))
+            button = self.button(TEXTS.fetch.format(size=wanted.megabytes), fetch)
+            line = self.ui.label().props("role=status")
+        update()
+        self.ui.timer(EVERY, update)
