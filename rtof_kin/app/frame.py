@@ -25,10 +25,15 @@ EVERY: Final = 0.5  # [s] between two looks at what has changed
 _STYLE: Final = """
 <style>
   .nicegui-content { max-width: 70rem; margin: 0 auto; }
-  a { display: inline-block; line-height: 40px; color: #1565c0 !important; }
-  .body--dark a { color: #90caf9 !important; }
-  .body--dark .text-primary { color: #90caf9 !important; }
-  a:focus-visible, button:focus-visible { outline: 3px solid #1565c0; outline-offset: 2px; }
+  a:not(.q-btn) { display: inline-block; line-height: 40px; }
+  @layer overrides {  /* Quasar's own are !important in a later layer, which an earlier one overrules */
+    a:not(.q-btn) { color: #1565c0 !important; }
+    .body--dark a:not(.q-btn), .body--dark .text-primary { color: #90caf9 !important; }
+    :focus-visible:not(.q-field__native), .q-field__control:focus-within
+      { outline: 3px solid #1565c0 !important; outline-offset: 2px; }
+    .body--dark :focus-visible:not(.q-field__native), .body--dark .q-field__control:focus-within
+      { outline-color: #90caf9 !important; }
+  }
   .doubt { color: #b00020; }
   .body--dark .doubt { color: #ff8a80; }
   .q-btn { min-height: 40px; }
