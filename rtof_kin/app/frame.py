@@ -39,6 +39,12 @@ _STYLE: Final = """
   .q-btn { min-height: 40px; }
   iframe { width: 100%; height: 85vh; border: 1px solid #9aa4ae; background: white; }
 </style>
+<script>  // the button of an upload has no name of its own
+  new MutationObserver(() => document.querySelectorAll(".q-uploader__input:not([aria-label])").forEach(input => {
+    const title = input.closest(".q-uploader").querySelector(".q-uploader__title");
+    input.ariaLabel = input.closest(".q-btn").ariaLabel = title.textContent;
+  })).observe(document, { childList: true, subtree: true });
+</script>
 """
 
 
@@ -72,7 +78,7 @@ class Frame:
                 self.button(
                     languages()[code].language, lambda code=code: self.speak(code), props=f"flat dense lang={code}"
                 )
-        with ui.column().props("role=main").classes("w-full"):
+        with ui.column().classes("w-full"):
             self.heading(" / ".join(names) or title, 1)
             try:
                 yield

@@ -76,6 +76,8 @@ _FOCUSED = """
   return [one.outerHTML, boxes.some(box => drawn(getComputedStyle(box))) || one.tagName === "IFRAME"];
 })()
 """
+_NAME = re.compile(r"[^a-z_]|^[a-z]+$")
+"""Of a name that is more than that of an icon, as add_box."""
 _CONTROLS = (
     "button link textbox spinbutton combobox image radio radiogroup checkbox switch tab slider progressbar Iframe"
 )
@@ -125,7 +127,11 @@ def names_and_headings(window: Window) -> list[str]:
     """Controls without a name, and headings out of order, as the browser tells a screen reader."""
     nodes = [node for node in window.call("Accessibility.getFullAXTree")["nodes"] if not node["ignored"]]
     roles = [(node["role"]["value"], node.get("name", {}).get("value", "").strip(), node) for node in nodes]
-    faults = [f"{role} without a name: {node}" for role, name, node in roles if role in _CONTROLS.split() and not name]
+    faults = [
+        f"{role} without a name: {node}"
+        for role, name, node in roles
+        if role in _CONTROLS.split() and not _NAME.search(name)
+    ]
     levels = [
         next(one["value"]["value"] for one in node["properties"] if one["name"] == "level")
         for role, _, node in roles
