@@ -23,6 +23,7 @@ PICTURES = (
     "compare",
     "follow",
     "live",
+    "app",
     "skeletons",
     "study",
     "sensors_only",
