@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import time
@@ -48,7 +47,6 @@ def make(studio: Studio) -> list[Path]:
             files = store.add_take("P07", visit, name) / FILES
             (files / "keypoints.csv").write_bytes((demo / FILES / "keypoints.csv").read_bytes())
     store.delete("P07", "2026-02-14", "trial")
-    os.environ["LC_ALL"] = "C.UTF-8"  # in English
     server = Server(store.root)
     written = []
     try:

@@ -31,10 +31,9 @@ _LONGEST: Final = 20.0  # [s] of looking for cameras or streams
 _LEAST: Final = 4.0  # [1e9 bytes] of memory, and on the disk
 _CAMERAS: Final = "import cv2; found = [str(i) for i in range(4) if cv2.VideoCapture(i).read()[0]]"
 _STREAMS: Final = "import pylsl; found = sorted({one.name() for one in pylsl.resolve_streams(2.0)})"
-_BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-_PLACES: Final = (  # of those that are not on the path
+_BROWSERS: Final = (
+    *("chromium", "chromium-browser", "google-chrome", "chrome", "msedge"),
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
-    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
     "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
 )
@@ -64,6 +63,9 @@ class Found:
     said: str
     todo: str = ""
     models: str = ""  #: Name of a set of models that is meant
+
+
+_Lists = dict[str, list[Found] | None]
 
 
 def welcome(frame: Frame) -> None:
@@ -131,18 +133,17 @@ def of_this_machine(store: Store) -> list[Found]:
     browser = pdf_browser()
     found = [_of_detector(wanted) for wanted in model_sets() if wanted == model_sets()[0] or not wanted.missing]
     found.append(Found(browser is not None, TEXTS.pdf, browser or TEXTS.nothing, TEXTS.pdf_todo))
-    for what, size, todo in (
-        (TEXTS.disk, shutil.disk_usage(store.root).free, TEXTS.disk_todo),
-        (TEXTS.memory, available_memory(), TEXTS.memory_todo),
-    ):
-        if size is not None:
-            found.append(Found(size / 1e9 >= _LEAST, what, TEXTS.gigabytes.format(size=size / 1e9), todo))
+    free = {(TEXTS.disk, TEXTS.disk_todo): shutil.disk_usage(store.root).free}
+    if (memory := available_memory()) is not None:
+        free[TEXTS.memory, TEXTS.memory_todo] = memory
+    for (what, todo), size in free.items():
+        found.append(Found(size / 1e9 >= _LEAST, what, TEXTS.gigabytes.format(size=size / 1e9), todo))
     return found
 
 
 def pdf_browser() -> str | None:
     """Return a browser that can write a PDF without a window."""
-    return next(filter(None, map(shutil.which, (*_BROWSERS, *_PLACES))), None)
+    return next(filter(None, map(shutil.which, _BROWSERS)), None)
 
 
 def _of_detector(wanted: ModelSet) -> Found:
@@ -153,31 +154,25 @@ def _of_detector(wanted: ModelSet) -> Found:
         folder = cached_models(wanted)
     except RtofError as error:
         return Found(False, what, str(error))
-    return Found(
-        folder is not None, what, TEXTS.at_hand if folder else TEXTS.not_fetched, TEXTS.fetch_todo, wanted.name
-    )
+    said = TEXTS.at_hand if folder else TEXTS.not_fetched
+    return Found(folder is not None, what, said, TEXTS.fetch_todo, wanted.name)
 
 
 def devices() -> list[Found]:
-    """Cameras that can be opened, and streams that answer; each in a process of its own, which may hang or crash."""
-    whats = (
-        (_CAMERAS, TEXTS.cameras, TEXTS.cameras_todo, "app"),
-        (_STREAMS, TEXTS.streams, TEXTS.streams_todo, "live"),
-    )
-    return [_looked(*what) for what in whats]
+    """Cameras that can be opened, and streams that answer."""
+    cameras = _looked(_CAMERAS, TEXTS.cameras, TEXTS.cameras_todo, "app")
+    return [cameras, _looked(_STREAMS, TEXTS.streams, TEXTS.streams_todo, "live")]
 
 
 def _looked(code: str, what: str, todo: str, extra: str) -> Found:
+    """Look in a process of its own, since a library may hang or crash."""
     command = [sys.executable, "-P", "-c", f"{code}; import json; print(json.dumps(found))"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
-    except subprocess.TimeoutExpired:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=True)
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        if "ModuleNotFoundError" in str(error.stderr):
+            return Found(False, what, TEXTS.not_installed, install(extra))
         return Found(False, what, TEXTS.no_answer, todo)
-    if done.returncode:
-        missing = "ModuleNotFoundError" in done.stderr
-        return Found(
-            False, what, TEXTS.not_installed if missing else TEXTS.no_answer, install(extra) if missing else todo
-        )
     found = json.loads(done.stdout.splitlines()[-1])
     return Found(bool(found), what, ", ".join(found) or TEXTS.nothing, todo)
 
@@ -192,7 +187,7 @@ class StartPages(Frame):
 
     def start(self) -> None:
         """Language, the five steps, the demo, the check."""
-        found: dict[str, list[Found] | None] = {"here": None}  # None: it is being looked for
+        found: _Lists = {"here": None}  # None: it is being looked for
 
         async def look(name: str, action: Callable[[], list[Found]]) -> None:
             found[name] = None
@@ -204,7 +199,7 @@ class StartPages(Frame):
         def lines(name: str) -> None:
             def fill(_: Show) -> None:
                 if found.get(name, ()) is None:
-                    self.ui.label(TEXTS.looking).props("role=status")
+                    self.ui.label(TEXTS.checking).props("role=status")
                 for one in found.get(name) or ():
                     self._line(one)
 
@@ -214,7 +209,7 @@ class StartPages(Frame):
             self.store.choose(toured=False)
             self.ui.navigate.reload()
 
-        with self.frame(TEXTS.start):
+        with self.frame(TEXTS.first_steps):
             names = {code: texts.language for code, texts in languages().items()}
             chosen = self.ui.radio(names, value=TEXTS.code, on_change=lambda event: self.speak(event.value))
             chosen.props(f'inline aria-label="{TEXTS.language_of}"')
@@ -241,9 +236,7 @@ class StartPages(Frame):
                 if one.todo and not one.good:
                     self.ui.label(one.todo)
 
-    def _fetch(
-        self, wanted: ModelSet, found: dict[str, list[Found] | None], then: Callable[[], Awaitable[None]]
-    ) -> None:
+    def _fetch(self, wanted: ModelSet, found: _Lists, then: Callable[[], Awaitable[None]]) -> None:
         """Offer a set of models that is missing; what is fetched goes on without this window."""
         name, places = wanted.name, sorted({urlparse(file.url).netloc for file in wanted.files})
 

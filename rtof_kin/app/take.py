@@ -16,7 +16,7 @@ from rtof_kin.reporting.page import PAGE
 from rtof_kin.setup.init import FINDINGS, read_findings
 from rtof_kin.setup.people import PICTURE
 from rtof_kin.setup.run import RECORDING
-from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
+from rtof_kin.setup.sources import Sources, recognise_source
 
 _SANDBOX: Final = "allow-scripts allow-downloads allow-modals"
 """What the report may do: run its own script, and reach nothing of the application."""
@@ -168,15 +168,14 @@ class TakePages(Frame):
 
 def _kind(path: Path) -> str:
     try:
-        kind = recognise_source(path)
+        return dict(TEXTS.sources)[recognise_source(path).value]
     except RtofError as error:
         return str(error)
-    return TEXTS.unknown if kind is SourceKind.UNKNOWN else kind.value
 
 
 def _ready(sources: Sources) -> str:
     """Say what is used."""
-    kinds = sorted({recognise_source(path).value for path in sources.paths})
+    kinds = sorted({_kind(path) for path in sources.paths})
     return TEXTS.ready.format(parts=", ".join([*kinds, *([] if sources.seen else [TEXTS.without_image])]))
 
 

@@ -97,7 +97,16 @@ class Texts:
     files: str = "1. Files"
     drop: str = "Drop video and sensor files here, or press +"
     remove: str = "Remove {name}"
-    unknown: str = "not recognised"
+    sources: tuple[tuple[str, str], ...] = (  # as `SourceKind` has them
+        ("a video", "a video"),
+        ("a detector's keypoints", "a detector's keypoints"),
+        ("files of sensors", "files of sensors"),
+        ("a camera calibration", "a camera calibration"),
+        ("a map of sensors", "a map of sensors"),
+        ("a log of the phone that filmed", "a log of the phone that filmed"),
+        ("a recording folder", "a recording folder"),
+        ("unknown", "not recognised"),
+    )
     ready: str = "Ready: {parts}."
     without_image: str = "without a camera: the person stands still for some seconds at first"
     width_px: str = "Width of the image in px"
@@ -139,7 +148,7 @@ class Texts:
     )
     # first steps
     to_start: str = "First steps, language and a check of this computer"
-    start: str = "First steps"
+    first_steps: str = "First steps"
     language_of: str = "Language"
     tour: str = "Five steps from a person to a report"
     steps: tuple[tuple[str, str], ...] = (
@@ -160,7 +169,7 @@ class Texts:
     )
     demo: str = "Try the demo"
     check: str = "Check of this computer"
-    looking: str = "looking ..."
+    checking: str = "looking ..."
     good: str = "good"
     missing: str = "missing"
     at_hand: str = "It is at hand."

@@ -25,7 +25,9 @@ class Server:
 
     def __init__(self, workspace: Path):
         command = [sys.executable, "-m", "rtof_kin.cli", "app", "--workspace", str(workspace), "--no-browser"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ})
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env={**os.environ, "LC_ALL": "C.UTF-8"}
+        )
         assert self.process.stdout is not None
         found = re.search(r"http://\S+/", self.process.stdout.readline())
         assert found is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,13 @@ from typing import Any
 import pytest
 
 from rtof_kin.app.server import HEADERS, Guarded, _kept_token, serve
+from rtof_kin.cli import main
 from rtof_kin.core.errors import InvalidInputError, MissingPackageError, OutputExistsError, SourceError
 from rtof_kin.core.files.folder import only_one
 from rtof_kin.core.local_door import Door
 
 HOST = "127.0.0.1:8000"
+ROOT = Path(__file__).parents[2]
 
 
 async def inner(scope: Any, receive: Any, send: Any) -> None:
@@ -162,3 +165,15 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_port_that_is_taken_is_said(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="cannot serve there"):
         serve(tmp_path, 1 << 17)
+
+
+def test_container_starts_nothing_that_others_could_reach_without_a_proxy(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (ROOT / "Containerfile").read_text("utf-8").splitlines()
+    (begin,) = (json.loads(line.split(maxsplit=1)[1]) for line in lines if line.startswith("ENTRYPOINT"))
+    assert begin[:2] == ["rtof-kin", "app"]
+    assert main(begin[1:]) == 2
+    assert "--host 0.0.0.0: others would see all that is sent; give --behind" in capsys.readouterr().err.replace(
+        "\n", " "
+    )
+    copied = [name for line in lines if line.startswith("COPY") for name in line.split()[1:-1]]
+    assert not [name for name in copied if not (ROOT / name).exists()]
