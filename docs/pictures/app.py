@@ -26,6 +26,7 @@ PAGES: Final = (
     ("recording", BEFORE, "DEMO", "Ready: "),
     ("running", RUNNING, "DEMO", "from image to space"),
     ("result", DONE, "DEMO", "3. Result"),
+    ("review", DONE, "DEMO/review", "Add"),
     ("people", DONE, "", "P12"),
     ("person", DONE, "people/P07", "2026-02-14"),
     ("trash", DONE, "trash", "Take "),
