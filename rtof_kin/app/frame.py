@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.app.store import State, Store
-from rtof_kin.app.texts import TEXTS, languages, speak
+from rtof_kin.app.texts import TEXTS, languages, speak, worded
 from rtof_kin.app.work import Work
 from rtof_kin.core.errors import RtofError
 
@@ -17,6 +17,7 @@ _COLOURS: Final = {
     State.DRAFT: "grey-8",
     State.WAITING: "blue-9",
     State.RUNNING: "blue-9",
+    State.ASKING: "deep-orange-10",
     State.DONE: "green-9",
     State.ATTENTION: "deep-orange-10",
     State.FAILED: "red-10",
@@ -37,6 +38,15 @@ _STYLE: Final = """
   .doubt { color: #b00020; }
   .body--dark .doubt { color: #ff8a80; }
   .q-btn { min-height: 40px; }
+  .people { position: relative; }
+  .people img { width: 100%; display: block; }
+  .people div { position: absolute; border: 3px solid transparent; border-radius: 6px; cursor: pointer; }
+  .people div:hover, .people .on { border-color: #1565c0; background: #1565c022; }
+  button[draggable]:focus { outline: 3px solid #1565c0; }
+  .body line { stroke: #90a4ae; stroke-linecap: round; cursor: pointer; }
+  .body line:hover { stroke: #546e7a; }
+  .body .on { stroke: #1565c0; }
+  .body text { fill: white; font-size: 11px; font-weight: bold; text-anchor: middle; pointer-events: none; }
   iframe { width: 100%; height: 85vh; border: 1px solid #9aa4ae; background: white; }
 </style>
 <script>  // the button of an upload has no name of its own
@@ -83,7 +93,7 @@ class Frame:
             try:
                 yield
             except (RtofError, OSError) as error:
-                ui.label(str(error)).props("role=alert").classes("doubt text-lg")
+                ui.label(worded(str(error))).props("role=alert").classes("doubt text-lg")
 
     def speak(self, code: str) -> None:
         """Choose the language of the workspace."""
@@ -92,8 +102,10 @@ class Frame:
         self.app.config.language = code
         self.ui.navigate.reload()
 
-    def shown(self, look: Callable[[], Any], *fills: Callable[[Show], None]) -> None:
-        """Fill parts of a page, and again when what is looked at has changed, maybe in another window."""
+    def shown(self, look: Callable[[], Any], *fills: Callable[[Show], None]) -> Show:
+        """Fill parts of a page, and again when what is looked at has changed, maybe in another window. Returns what is
+        called after a change that the parts show already, so that the focus stays where it is.
+        """
         parts = [(self.ui.column().classes("w-full"), fill) for fill in fills]
         before = None
 
@@ -112,8 +124,13 @@ class Frame:
             except (RtofError, OSError):  # deleted in another window
                 self.ui.navigate.to("/")
 
+        def kept() -> None:
+            nonlocal before
+            before = look()
+
         show()
         self.ui.timer(EVERY, again)
+        return kept
 
     async def tried(self, action: Callable[[], Awaitable[None] | None]) -> None:
         """Do something; what goes wrong is said."""
@@ -122,7 +139,7 @@ class Frame:
                 await waited
         except (RtofError, OSError) as error:
             said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
-            self.ui.notify(said, type="negative", multi_line=True, timeout=10_000)
+            self.ui.notify(worded(said), type="negative", multi_line=True, timeout=10_000)
 
     def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> Any:
         """A button, which is returned; Enter in one of the fields presses it too."""

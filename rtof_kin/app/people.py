@@ -62,8 +62,15 @@ class PeoplePages(Frame):
             takes = self.store.takes(person)
             return self.store.names(person), takes, [self.store.take(path).state for path in takes]
 
+        def correct() -> None:
+            self.store.set_height(person, height.value and height.value / 100)
+            label.text = self.height(person)
+
         with self.frame(person, person):
-            self.ui.label(self.height(person))
+            with self.row():
+                label = self.ui.label(self.height(person))
+                height = self.ui.number(TEXTS.height, min=40, max=260).classes("w-56")
+                self.button(TEXTS.change_height, correct, height)
             self.shown(look, rows)
             with self.row():
                 day = self.ui.input(TEXTS.date, value=date.today().isoformat()).classes("w-64")

@@ -7,7 +7,7 @@
             subject.toml            see `rtof_kin.recording.subject`
             2026-01-31/             a visit
                 walk/               a recording: what `rtof-kin run files/* -o walk` writes
-                    files/          as they were dropped
+                    files/          as they were dropped; a detector's files of single frames in a folder of their own
                     take.json       state, and what the files do not say; written anew where it is missing
         .trash/ID/                  what was deleted, and the place where it was
         .settings.json              `Settings`
@@ -19,23 +19,27 @@ import re
 import secrets
 import shutil
 import time
+import zipfile
 from datetime import date
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ValidationError
 
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError
+from rtof_kin.core.files.arrays import check_ratio
+from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.files.manifest import make_folders, make_private
 from rtof_kin.core.files.text import read_text, write_text
-from rtof_kin.recording.subject import Subject, read_subject, write_subject
+from rtof_kin.recording.subject import Estimate, Subject, read_subject, write_subject
 from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.reporting.page import PAGE
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 from rtof_kin.setup.init import read_findings
 from rtof_kin.setup.run import MOTION, RECORDING
+from rtof_kin.setup.settings import SecondCamera, SetupSettings
 from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 FILES: Final = "files"
@@ -45,6 +49,8 @@ _NAME: Final = re.compile(r"\w[\w-]{0,63}")
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _NO_FILE: Final = re.compile(r"[\\/:*?\"<>|]|^[.\s-]|[.\s]$")
 _LONGEST: Final = 200  # [bytes] of the name of a file
+_FRAME: Final = re.compile(r"(.*?)[_-]?\d{4,}_keypoints\.json")  # OpenPose's name of the file of one frame
+_MOST_FILES, _MOST_BYTES = 100_000, 16e9  # Of a .zip file, unpacked
 
 
 class State(Enum):
@@ -53,6 +59,7 @@ class State(Enum):
     DRAFT = "draft"
     WAITING = "waiting"
     RUNNING = "running"
+    ASKING = "has a question"
     DONE = "done"
     ATTENTION = "needs attention"
     FAILED = "failed"
@@ -70,6 +77,14 @@ class Take(BaseModel, frozen=True):
     size_px: tuple[int, int] | None = None  #: Of the image, for keypoints without a video
     person: int | None = None  #: Number in the picture of the people; None: the only prominent one
     rate_hz: float | None = None  #: Of keypoints without times
+    pose: Literal["N", "T", "seated"] = "N"  #: Of sensors without an image, see `SetupSettings`
+    second: tuple[str, ...] = ()  #: Files of the second camera, by name
+    second_person: int | None = None  #: As `person`, in the picture of the second camera
+    synchronised: bool = False  #: Whether both cameras have one clock
+    look: bool = False  #: Whether only the recording was asked for, to be looked at first
+    learn: bool = False  #: Whether the person's file is updated
+    learned: tuple[str, ...] = ()  #: What was changed there
+    places: dict[str, tuple[str, float]] = {}  #: Likeliest segment of each sensor, and its probability
     seconds: dict[str, float] = {}  #: How long each stage took, s, in their order
 
 
@@ -126,12 +141,9 @@ class Store:
 
     def add_person(self, person: str, height: float | None) -> None:
         """Make a person. `height`: standing, m; every length follows it."""
-        path = self._place(person)
-        if height is None or not 0.4 < height < 2.6:
-            raise InvalidInputError(TEXTS.no_height)
+        path, known = self._place(person), {"subject": person, "height_m": {"value": _height(height)}}
         self._make(path)
         try:
-            known = {"subject": person, "height_m": {"value": round(height, 3)}}
             write_subject(path / SUBJECT, Subject.of(known, path / SUBJECT))
         except RtofError:
             path.rmdir()
@@ -140,6 +152,12 @@ class Store:
     def subject(self, person: str) -> Subject:
         """Read what is known of a person."""
         return read_subject(self.path(person) / SUBJECT)
+
+    def set_height(self, person: str, height: float | None) -> None:
+        """Correct the standing height of a person, m."""
+        subject = self.subject(person)
+        known = subject.known | {"height_m": Estimate[Any](value=_height(height))}
+        write_subject(subject.path, subject.with_known(known, subject.history), overwrite=True)
 
     def add_visit(self, person: str, day: str) -> None:
         """Make a visit. `day`: as 2026-01-31."""
@@ -160,7 +178,8 @@ class Store:
 
     # --- a recording ---------------------------------------------------------------------------------------
 
-    def take(self, folder: Path) -> Take:
+    @staticmethod
+    def take(folder: Path) -> Take:
         """Read the state of a recording; where it is missing or damaged, the files tell it."""
         try:
             return Take.model_validate_json(read_text(folder / _TAKE, "JSON"))
@@ -175,19 +194,31 @@ class Store:
 
     @staticmethod
     def files(folder: Path) -> list[Path]:
-        """Return the files of a recording."""
+        """Return the files, and folders of single frames, of a recording."""
         found = (folder / FILES).iterdir() if (folder / FILES).is_dir() else ()
-        return sorted(path for path in found if path.is_file() and not path.is_symlink() and path.name[0] != ".")
+        return sorted(path for path in found if path.exists() and not path.is_symlink() and path.name[0] != ".")
+
+    @staticmethod
+    def setup(folder: Path) -> tuple[list[Path], SetupSettings, SecondCamera]:
+        """Return what `run` is given: files of the first camera and of sensors, settings, and the second camera."""
+        take, files = Store.take(folder), Store.files(folder)
+        second = tuple(path for path in files if path.name in take.second)
+        own = SetupSettings(pose=take.pose, person=take.person, rate_hz=take.rate_hz, size_px=take.size_px)
+        other = SecondCamera(second, take.second_person, synchronised=take.synchronised)
+        return [path for path in files if path not in second], own, other
 
     @staticmethod
     def video(folder: Path) -> Path | None:
-        """Return the video of a recording; None where there is none."""
-        found = (path for path in Store.files(folder) if recognise_source(path) is SourceKind.VIDEO)
+        """Return the video of a recording, of the first camera; None where there is none."""
+        found = (path for path in Store.setup(folder)[0] if recognise_source(path) is SourceKind.VIDEO)
         return next(found, None)
 
     def sources(self, folder: Path) -> Sources:
         """Recognise the files; errors of `Sources.of`, and `InvalidInputError` where there is nothing to see."""
-        found = Sources.of(self.files(folder))
+        first, _, second = self.setup(folder)
+        found = Sources.of(first)
+        if second.second and not Sources.of(second.second).seen:
+            raise InvalidInputError(TEXTS.nothing_second)
         if not (found.seen or found.sensors):
             raise InvalidInputError(TEXTS.nothing_recorded)
         return found
@@ -198,10 +229,51 @@ class Store:
         if long or not name.isprintable() or _NO_FILE.search(name) or not name or _RESERVED.fullmatch(name):
             raise InvalidInputError(TEXTS.bad_file_name.format(name=repr(name[:60])))
         make_folders(folder / FILES)
-        path = folder / FILES / name
-        if path.exists():
+        frame = _FRAME.fullmatch(name)
+        inner = folder / FILES / f"{frame[1]}_keypoints" if frame else folder / FILES
+        path = inner / name
+        if inner.is_symlink() or inner.is_file() or path.exists():
             raise OutputExistsError(TEXTS.file_exists.format(name=name))
         return path
+
+    def take_in(self, folder: Path, name: str, part: Path) -> None:
+        """Put a file that is complete in its place, or all files of a .zip file.
+
+        Their folders are left out, so that none leads elsewhere; their names are as `new_file` takes them.
+
+        Raises:
+            FileFormatError: the archive is damaged, encrypted, or too large; nothing is taken then.
+        """
+        if not name.lower().endswith(".zip"):
+            self._put(part, self.new_file(folder, name))
+            return
+        with temporary_folder(folder / FILES) as fresh:
+            try:
+                with zipfile.ZipFile(part) as archive:
+                    found = [one for one in archive.infolist() if not re.search(r"(^|/)(\.[^/]*|)$", one.filename)]
+                    full = sum(one.file_size for one in found)
+                    if full > _MOST_BYTES or len(found) > _MOST_FILES:
+                        raise FileFormatError(name, TEXTS.zip_large)
+                    check_ratio(Path(name), full, sum(one.compress_size for one in found))
+                    names = [one.filename.rpartition("/")[2] for one in found]
+                    if len(set(map(str.casefold, names))) < len(names):
+                        raise FileFormatError(name, TEXTS.zip_twice)
+                    for member, own in zip(found, names, strict=True):
+                        self.new_file(folder, own)
+                        with archive.open(member) as source, (fresh / own).open("wb") as whole:
+                            shutil.copyfileobj(source, whole)
+            except (RtofError, OSError):
+                raise
+            except Exception as error:  # zipfile and its decompressors raise many
+                raise FileFormatError(name, TEXTS.zip_damaged.format(error=error)) from error
+            for own in names:
+                self._put(fresh / own, self.new_file(folder, own))
+
+    @staticmethod
+    def _put(part: Path, path: Path) -> None:
+        make_folders(path.parent)
+        make_private(part)
+        part.rename(path)
 
     # --- the trash -----------------------------------------------------------------------------------------
 
@@ -267,6 +339,12 @@ def verdict(folder: Path) -> State:
     except RtofError:
         doubtful = True
     return State.ATTENTION if doubtful else State.DONE
+
+
+def _height(height: float | None) -> float:
+    if height is None or not 0.4 < height < 2.6:
+        raise InvalidInputError(TEXTS.no_height)
+    return round(height, 3)
 
 
 def _is_name(name: str) -> bool:

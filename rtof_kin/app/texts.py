@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import locale
+import re
 from dataclasses import dataclass
 from typing import Any, Final, cast
 
@@ -25,6 +26,7 @@ class Texts:
         ("done", "done"),
         ("needs attention", "needs attention"),
         ("failed", "failed"),
+        ("has a question", "has a question"),
     )
     # store
     bad_name: str = "{name}: use 1 to 64 letters, digits, - and _, and begin with a letter or digit"
@@ -95,7 +97,7 @@ class Texts:
     )
     # a recording
     files: str = "1. Files"
-    drop: str = "Drop video and sensor files here, or press +"
+    drop: str = "Drop video, keypoints and sensor files here, or a folder as .zip, or press +"
     remove: str = "Remove {name}"
     sources: tuple[tuple[str, str], ...] = (  # as `SourceKind` has them
         ("a video", "a video"),
@@ -108,12 +110,10 @@ class Texts:
         ("unknown", "not recognised"),
     )
     ready: str = "Ready: {parts}."
-    without_image: str = "without a camera: the person stands still for some seconds at first"
     width_px: str = "Width of the image in px"
     height_px: str = "Height of the image in px"
     rate: str = "Frames per second, if not in the keypoints"
     who: str = "Who was seen"
-    number: str = "Number of the person, if several"
     size_needed: str = "Keypoints do not say how large the image is: give it, or add the video"
     reconstruct_title: str = "2. Reconstruction"
     reconstruct: str = "Reconstruct"
@@ -202,6 +202,74 @@ class Texts:
         "This switches each camera on for a moment, and asks the local network for streams of sensors. "
         "Nothing else is contacted."
     )
+    # files of a recording
+    without_image: str = "No video and no keypoints: the person stands still for some seconds at first."
+    without_sensors: str = "No sensors: the motion comes from the image alone."
+    without_camera: str = "No camera calibration: the camera is found from the motion."
+    zip_large: str = "has more than 16 GB or 100,000 files unpacked; drop its files by themselves"
+    zip_twice: str = "has two files of one name; drop its files by themselves"
+    zip_damaged: str = "no archive that can be unpacked ({error}); pack it again, without a password"
+    nothing_second: str = "Of the second camera a video or keypoints are needed"
+    second: str = "{name} is of the second camera"
+    synchronised: str = "Both cameras have one clock (started by one signal)"
+    pose: str = "How the person stands at first"
+    poses: tuple[tuple[str, str], ...] = (("N", "arms hanging"), ("T", "arms to the sides"), ("seated", "seated"))
+    look: str = "Look at it first"
+    looking: str = "looking at the recording"
+    asked_person: str = "Several people are in the picture: choose the one that this recording is of."
+    asked_sensors: str = "Which sensor is where is not sure: choose in the drawing of the body."
+    learn: str = "Learn from this recording: bones and posture of the person are kept for later ones"
+    learned: str = "Learned: {what}"
+    change_height: str = "Change the height"
+    who_second: str = "Who was seen by the second camera"
+    who_hint: str = "Click on the person, or choose the number."
+    person: str = "Person {number}"
+    nobody: str = "Found by itself: the most prominent person"
+    body: str = "Where the sensors are"
+    body_hint: str = "Drag a sensor to its place, or press it and then the place, or choose from its list."
+    body_map: str = "The map of sensors among the files says it; remove it to choose here."
+    body_sides: str = "right | left, as the person says"
+    sure: str = "{percent:.0f} % by its motion"
+    stated: str = "as stated"
+    unsure: str = "not known"
+    no_place: str = "left out"
+    use_places: str = "Use these places"
+    drop_places: str = "Take the places back"
+    same_place: str = "Two sensors are at one place; give each a place of its own"
+    no_places: str = "Give at least one sensor its place"
+    bad_sensor: str = "The name of a sensor cannot be written in a map: {name}"
+    segments: str = (
+        "Head head, Spine3 chest, Spine lower back, Hips pelvis, LeftShoulder left shoulder blade, "
+        "LeftArm left upper arm, LeftForeArm left forearm, LeftHand left hand, LeftUpLeg left thigh, "
+        "LeftLeg left shank, LeftFoot left foot, RightShoulder right shoulder blade, RightArm right upper arm, "
+        "RightForeArm right forearm, RightHand right hand, RightUpLeg right thigh, RightLeg right shank, "
+        "RightFoot right foot"
+    )
+    """Segments that carry sensors, each with its name."""
+    options: tuple[tuple[str, str], ...] = (
+        (r"(add|give)( e\.g\.)? --height( [\d.]+( \(m\))?)?", "give it on the person's page"),
+        (r"--height ", "height "),
+        (r"choose( one with)? --person", "choose --person"),
+        (r"; --person takes another one", "; a click on the picture takes another one"),
+        (r"--person ", "person "),
+        (r"--size \S+", "width and height of the image in the fields above"),
+        (r"by --rate 60 \(Hz\)", "in the field above"),
+        (r", --map FILE", ", or choose their places in the drawing of the body"),
+        (r"; --pose takes another one", "; choose another one above"),
+        (r"add --fetch-models (\S+):", r"fetch the models \1 once:"),
+        (r" \(--fetch-models rtmpose, --model-dir DIR\)", ""),
+        (r": --model-dir DIR", " in the folder of models"),
+        (r"`rtof-kin inspect` looks at each sensor", "Look at the file of each sensor"),
+        (r"; (rtof-kin inspect lists their gaps|--update-subject makes it, or write it \(docs/subject\.md\))", ""),
+        (r"; go on with: rtof-kin reconstruct \S+", "; drop the files that it was made from"),
+        (r"; name another folder by -o, or add --overwrite(, which replaces that person's results)?", ""),
+    )
+    """What the engine says of options of the command line, as patterns, and how a page calls them."""
+
+    @property
+    def places(self) -> dict[str, str]:
+        """Names of the segments that carry sensors."""
+        return {segment: words for segment, _, words in (one.partition(" ") for one in self.segments.split(", "))}
 
 
 class _Chosen:
@@ -228,3 +296,10 @@ def speak(code: str = "") -> None:
     known = languages()
     local = (locale.getlocale()[0] or "").lower()  # German_Germany on Windows
     _chosen.texts = known.get(code) or known["de" if local.startswith(("de_", "german")) else "en-US"]
+
+
+def worded(sentence: str) -> str:
+    """Return a sentence of the engine in the words of a page: without options of the command line."""
+    for pattern, words in TEXTS.options:
+        sentence = re.sub(pattern, words, sentence)
+    return sentence

@@ -19,12 +19,13 @@ from typing import Any, Final
 from rtof_kin.app.store import AT_WORK, FILES, SUBJECT, State, Store, Take, verdict
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.environment import without_warnings
-from rtof_kin.core.errors import RtofError
+from rtof_kin.core.errors import RtofError, UndecidedError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.processes import end_with_parent
+from rtof_kin.reporting.page import PAGE
 from rtof_kin.reporting.review import review
-from rtof_kin.setup.run import MOTION, run
-from rtof_kin.setup.settings import ReconstructionTask, SetupSettings
+from rtof_kin.setup.run import MOTION, make_recordings, run
+from rtof_kin.setup.settings import ReconstructionTask
 
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _EVERY: Final = 0.2  # [s] between two reports of a stage
@@ -89,12 +90,12 @@ class Work:
         self._thread = threading.Thread(target=self._run, name="reconstructions", daemon=True)
         self._thread.start()
 
-    def ask(self, folder: Path) -> None:
-        """Put a recording into the queue; errors of its files."""
+    def ask(self, folder: Path, look: bool = False) -> None:
+        """Put a recording into the queue, or only to `look` at it before; errors of its files."""
         self.store.sources(folder)
         with self._changed:
             if folder != self._now and folder not in self._queue:
-                self.store.change(folder, state=State.WAITING, asked=time.time(), said="")
+                self.store.change(folder, state=State.WAITING, asked=time.time(), said="", look=look, learned=())
                 self._queue.append(folder)
                 self._changed.notify()
 
@@ -155,7 +156,8 @@ class Work:
 
     def _reconstructed(self, folder: Path) -> dict[str, Any]:
         """Run the process, read its reports until it ends, and return what changes in the `Take`."""
-        self._stages, outcome = Stages(self._earlier()), dict[str, Any]()
+        look, outcome = self.store.take(folder).look, dict[str, Any]()
+        self._stages = Stages({} if look else self._earlier())
         receiver, sender = _CONTEXT.Pipe(duplex=False)
         with receiver:
             with self._changed, sender:
@@ -171,9 +173,8 @@ class Work:
                     self._stages.report(*(message if not outcome else (REPORT, 1, 1)))
         process.join()
         how = TEXTS.lost.format(how=f"exit code {process.exitcode}")
-        return (outcome or {"state": State.FAILED, "said": how}) | {
-            "seconds": self.store.take(folder).seconds | self._stages.seconds
-        }
+        seconds = {} if look else {"seconds": self.store.take(folder).seconds | self._stages.seconds}
+        return (outcome or {"state": State.FAILED, "said": how}) | seconds
 
     def _earlier(self) -> dict[str, float]:
         """Return the seconds by stage of the latest reconstruction."""
@@ -197,14 +198,25 @@ def _reconstruct(place: str, take: Take, sender: Connection) -> None:
             sent = stage, time.monotonic()
             sender.send((stage, done, total))
 
+    learned = list[str]()
     try:
-        setup = SetupSettings(size_px=take.size_px, rate_hz=take.rate_hz, person=take.person)
-        task = ReconstructionTask(calibrate=True, subject=folder.parent.parent / SUBJECT)
+        files, setup, second = Store.setup(folder)
+        subject = folder.parent.parent / SUBJECT
+        task = ReconstructionTask(calibrate=True, subject=subject, update_subject=take.learn and not take.look)
+        how: dict[str, Any] = {"overwrite": True, "progress": progress}
         with without_warnings("rtof_kin"):
-            run(Store.files(folder), folder, setup, task=task, overwrite=True, progress=progress)
-        with suppress(RtofError):  # it is made again when it is asked for
-            write_review(folder)
-        sender.send({"state": verdict(folder), "said": ""})
+            if take.look:
+                found = make_recordings(files, folder, setup, task, second, **how)
+            else:
+                how["learned"] = learned.append
+                found = run(files, folder, setup, task=task, second=second, **how).findings
+        if not take.look:
+            with suppress(RtofError):  # it is made again when it is asked for
+                write_review(folder)
+        state = State.DRAFT if take.look and not (folder / PAGE).is_file() else verdict(folder)
+        sender.send({"state": state, "said": "", "places": found.places, "learned": tuple(learned)})
+    except UndecidedError as error:
+        sender.send({"state": State.ASKING, "said": "", "places": error.places})
     except Exception as error:
         said = str(error) if isinstance(error, RtofError) else f"{type(error).__name__}: {error}"
         sender.send({"state": State.FAILED, "said": said.replace(f"{folder / FILES}/", "").replace(f"{folder}/", "")})

@@ -7,7 +7,7 @@ remedy. The command line prints it as one line and exits with code 2.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -66,6 +66,17 @@ class RtofError(Exception):
 
 class InvalidInputError(RtofError, ValueError):
     """An argument, a setting or a field of data has an invalid value."""
+
+
+class UndecidedError(InvalidInputError):
+    """The files do not tell of which person a recording is, or where the sensors are: the user must choose."""
+
+    def __init__(self, message: str, places: Mapping[str, tuple[str, float]] | None = None):
+        """Take the message and, where it is about sensors, the likeliest segment of each, '' where there is none, and
+        its probability.
+        """
+        super().__init__(message)
+        self.places = dict(places or {})
 
 
 class ShapeError(InvalidInputError):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar
 
@@ -129,6 +130,8 @@ class Subject(InputTable):
         """Return the fields of a recording of this person that the file knows and the recording does not give."""
         one = {"height": self.height_m, "mass_kg": self.mass_kg, "sex": self.sex}
         facts: dict[str, Any] = {k: v.value for k, v in one.items() if v is not None and getattr(recording, k) is None}
+        if not recording.session.subject:
+            facts["session"] = replace(recording.session, subject=self.subject)
         if self.skeleton != recording.skeleton_table:
             return facts
         if not recording.bones_given and ("height" in facts or self.joint_offsets_m):

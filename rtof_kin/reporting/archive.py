@@ -66,7 +66,8 @@ def write_result_archive(
     folder = motion_folder(result)
     summary = load_json(folder / "summary.json")
     source, found = _recording_of(folder, summary, recording)
-    names = _identifying(found, source)
+    person = Session.of((summary.get("inputs") or {}).get("session") or {}).subject  # maybe of the person's file
+    names = _identifying(found, source, person)
     bare = replace(found, name="recording", session=Session(), notes="", acknowledgement="")
     with tempfile.TemporaryDirectory(prefix="rtof_kin_") as temporary:
         written = Path(temporary)
@@ -113,10 +114,12 @@ def _recording_of(result: Path, summary: dict[str, Any], given: str | Path | Non
     )
 
 
-def _identifying(recording: Recording, folder: Path) -> re.Pattern[str]:
-    """Return a pattern of paths, names of videos and what the recording's labels and the folder are called."""
+def _identifying(recording: Recording, folder: Path, person: str) -> re.Pattern[str]:
+    """Return a pattern of paths, names of videos, a person, and what the labels and the folder are called."""
     session = recording.session
-    words = [word for label in (session.subject, session.operator) for word in (label, *re.split(r"[\W_]+", label))]
+    words = [
+        word for label in (session.subject, session.operator, person) for word in (label, *re.split(r"[\W_]+", label))
+    ]
     titles = (recording.name, folder.resolve().name)
     words += [
         session.place,

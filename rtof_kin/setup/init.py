@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -68,12 +68,14 @@ class Findings:
     found: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    places: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    """Likeliest segment of each sensor of the files, '' where there is none, and its probability."""
 
     @property
     def text(self) -> str:
-        """All of them, a line each; notes of the recording, which the report shows."""
-        kinds = reversed(vars(self).items())
-        return "\n".join(f"{kind}: {sentence}" for kind, sentences in kinds for sentence in sentences)
+        """All sentences, a line each; notes of the recording, which the report shows."""
+        kinds = [(kind, sentences) for kind, sentences in vars(self).items() if kind != "places"]
+        return "\n".join(f"{kind}: {sentence}" for kind, sentences in reversed(kinds) for sentence in sentences)
 
 
 @dataclass(frozen=True)
@@ -219,9 +221,9 @@ def write_recording(
         What was given, found, assumed and is in doubt; `read_findings` reads it again.
 
     Raises:
-        InvalidInputError: several people and none was chosen, no plausible height, sensors that cannot belong to the
-            video, or segments that are not known. CalibrationError: nothing relates the sensors to the video, or
-            without one they never rest.
+        UndecidedError: several people and none was chosen, or the segment of no sensor is known. InvalidInputError: no
+            plausible height, or sensors that cannot belong to the video. CalibrationError: nothing relates the sensors
+            to the video, or without one they never rest.
     """
     folder, usual = Path(folder), SkeletonModel.default()
     skeleton = usual if settings.height is None else usual.with_height(settings.height)
@@ -248,7 +250,8 @@ def write_recording(
     said: dict[str, list[str]] = {origin.value: [] for origin in Origin}
     for origin, sentence in summaries(tables):
         said[origin.value].append(sentence)
-    found = Findings(**{kind: tuple(some) for kind, some in said.items()}, doubtful=tuple(doubts))
+    sentences = {kind: tuple(some) for kind, some in said.items()}
+    found = Findings(**sentences, doubtful=tuple(doubts), places={} if sensors is None else sensors.places)
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
@@ -334,7 +337,8 @@ def read_findings(folder: str | Path) -> Findings:
         FileFormatError: missing or damaged.
     """
     data = load_json(Path(folder) / FINDINGS)
-    return Findings(**{kind: tuple(map(str, sentences)) for kind, sentences in data.items()})
+    places = {name: (str(segment), float(sure)) for name, (segment, sure) in data.pop("places", {}).items()}
+    return Findings(**{kind: tuple(map(str, sentences)) for kind, sentences in data.items()}, places=places)
 
 
 def _described(sources: Sources, settings: SetupSettings) -> _Video:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, UndecidedError
 from rtof_kin.core.files.arrays import read_npz, write_npz
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.vision.detections import Detections
@@ -137,12 +138,12 @@ def choose_person(people: People, number: int | None, picture: str) -> int:
     """Return the number of the person that the recording is of. `number`: as the user says, None where not said.
 
     Raises:
-        InvalidInputError: there is no such person, or several are equally prominent and none was chosen.
+        InvalidInputError: there is no such person. UndecidedError: several are equally prominent and none was chosen.
     """
     if number is None:
         rivals = [n for n, weight in enumerate(people.weights, start=1) if weight >= _RIVAL]
         if len(rivals) > 1:
-            raise InvalidInputError(
+            raise UndecidedError(
                 f"{len(rivals)} people are in the video: look at {picture} and choose one with {_options(rivals)}"
             )
         return 1
@@ -160,6 +161,7 @@ def _options(numbers: Sequence[int]) -> str:
 
 PICTURE: Final = "frames.png"
 _COLORS: Final = ("#e69f00", "#0072b2", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
+_BOXES: Final = "People"  # Entry of the picture's text where everybody is
 _PANELS: Final = 6
 _PANEL_INCHES, _MOST_PIXELS = 3.4, 720
 
@@ -188,15 +190,39 @@ def write_frames_picture(
     rows = -(-len(frames) // columns)
     width = _PANEL_INCHES if columns == 3 else _PANEL_INCHES * 0.7
     panel = (width, width * image_px[1] / image_px[0])
-    figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained")
+    figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
     for axes, frame in zip(figure.subplots(rows, columns, squeeze=False).flat, frames, strict=False):
         shown = [(uv[frame], bones) for uv, bones in joints]
         _draw(axes, f"{people.times[frame]:.2f} s", shown, image_px, images.get(frame))
     for axes in figure.axes:
         axes.set_axis_off()
+    figure.draw_without_rendering()  # places the panels
+    boxes = []
+    for axes, frame in zip(figure.axes, frames, strict=False):
+        for number, (uv, _) in enumerate(joints, start=1):
+            seen_px = uv[frame][np.isfinite(uv[frame]).all(axis=-1)]
+            if len(seen_px):
+                corners = [seen_px.min(axis=0), seen_px.max(axis=0)]
+                (x0, y1), (x1, y0) = figure.transFigure.inverted().transform(axes.transData.transform(corners))
+                boxes.append((number, *(round(float(v), 4) for v in (x0, 1 - y1, x1, 1 - y0))))
     with new_file(path, overwrite=True) as whole:
-        figure.savefig(whole, dpi=150)
+        figure.savefig(whole, metadata={_BOXES: json.dumps(boxes)})
+
+
+def people_in_picture(path: str | Path) -> list[tuple[float, ...]]:
+    """Return number, left, top, right and bottom, as shares of the picture, of everybody in it, once for each instant.
+
+    `path`: what `write_frames_picture` wrote; nobody is in another picture, or in one of an earlier version.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            boxes = json.loads(image.info.get(_BOXES, "[]"))
+            return [(int(number), float(x0), float(y0), float(x1), float(y1)) for number, x0, y0, x1, y1 in boxes]
+    except (OSError, ValueError, TypeError):
+        return []
 
 
 def _images(video: str | Path, frames: Sequence[int]) -> dict[int, NDArray[np.uint8]]:

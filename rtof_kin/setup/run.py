@@ -107,16 +107,9 @@ def run(
     if missing := [file for file in lifts if not file.is_file()]:
         raise FileFormatError(missing[0], "there is no such file of 3D points")
     setup = setup if height is None else replace(setup, height=height)
-    person = task.person()
-    if setup.height is None and person is not None and person.height_m is not None:
-        setup = replace(setup, height=person.height_m.value)
-    if setup.height is None:
-        raise InvalidInputError(
-            "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
-        )
-    how: dict[str, Any] = {"detect": detect, "made_with": task.model, "overwrite": overwrite, "kept": kept}
-    name, own, setup = folder.resolve().name, folder / RECORDING, replace(setup, lifter=task.lifter())
-    findings = make_recording(files, own, setup, name=name, progress=progress, **how)
+    setup, own, person = replace(setup, lifter=task.lifter()), folder / RECORDING, task.person()
+    how: dict[str, Any] = {"detect": detect, "overwrite": overwrite, "kept": kept, "progress": progress}
+    findings = make_recordings(files, folder, setup, task, second, **how)
 
     def step(name: str, make: Callable[[Path, bool, Mapping[str, str]], object], *inputs: object) -> None:
         """Make a folder, unless it is there and its inputs are the same."""
@@ -133,9 +126,6 @@ def run(
         joined.save(output, overwrite, inputs)
 
     if second.second:
-        others = replace(setup, person=second.second_person, camera_name=second.second_camera, phone_log=None)
-        title = f"{name}, second camera"
-        make_recording(second.second, folder / SECOND, others, name=title, progress=progress, **how)
         step(JOINED, join, own, folder / SECOND, str(task.model), second.synchronised)
         own = folder / JOINED
     recording = Recording.load(own)
@@ -154,6 +144,38 @@ def run(
     _write_page(folder, analysis, kept)
     said = tuple(note for note in notes.splitlines() if note.partition(": ")[2].startswith(ABOUT))
     return Run(folder, findings, said, read_summary(folder / MOTION / SUMMARY))
+
+
+def make_recordings(
+    files: Iterable[str | Path],
+    folder: str | Path,
+    setup: SetupSettings,
+    task: ReconstructionTask,
+    second: SecondCamera,
+    *,
+    detect: Detect | None = None,
+    overwrite: bool = False,
+    kept: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Do the first steps of `run`, the recording of each camera, and return what was found of the first one.
+
+    Arguments and errors as of `run`.
+    """
+    folder, person = Path(folder), task.person()
+    if setup.height is None and person is not None and person.height_m is not None:
+        setup = replace(setup, height=person.height_m.value)
+    if setup.height is None:
+        raise InvalidInputError(
+            "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
+        )
+    name, how = folder.resolve().name, dict[str, Any](detect=detect, made_with=task.model, overwrite=overwrite)
+    how |= {"kept": kept, "progress": progress}
+    findings = make_recording(files, folder / RECORDING, setup, name=name, **how)
+    if second.second:
+        others = replace(setup, person=second.second_person, camera_name=second.second_camera, phone_log=None)
+        make_recording(second.second, folder / SECOND, others, name=f"{name}, second camera", **how)
+    return findings
 
 
 def reconstruct_folder(

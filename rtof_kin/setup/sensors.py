@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -19,7 +19,7 @@ from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.calibration.offset_scan import APART
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, UndecidedError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
@@ -49,6 +49,8 @@ class SetupSensors:
     imus: ImuSequence  # On the sensors' clock, which begins at 0
     fields: Tables
     doubts: tuple[str, ...]
+    places: Mapping[str, tuple[str, float]]
+    """Likeliest segment of each sensor of the files, '' where there is none, and its probability."""
 
 
 def set_up_sensors(
@@ -70,6 +72,7 @@ def set_up_sensors(
     """
     search = partial(find_clock, poses, keypoints, skeleton=skeleton)
     places = known_places(log, sensor_map, skeleton)
+    likely = _stated(log.names, {} if places is None else {name: str(one.value) for name, one in places.items()})
     log = log if places is None else log.select(list(places))
     log, still = _moving(log_with_orientation(log))
     first = min(stream.times[0] for stream in log.streams)
@@ -86,7 +89,8 @@ def set_up_sensors(
     _check_overlap(clock.apply(log), keypoints.times)
     doubts = [apart, *still, f"{CLOCK_DOUBT}: {clock.doubt}" if clock.doubt else ""]
     if places is None or joints is None:
-        places, unsure = _assigned(clock.apply(log), skeleton, poses)
+        places, unsure, found_places = _assigned(clock.apply(log), skeleton, poses)
+        likely |= found_places
         joints = {name: str(field.value) for name, field in places.items()}
         log = log.select(list(joints))
         # With the segments known, within half a stride; a doubt of the first search stays.
@@ -105,7 +109,12 @@ def set_up_sensors(
         clock = replace(clock, offset=clock.offset + float(delay.value[0]), sigma=sigma)
     imus = imus_of_log(_on_clock(log, lambda times: times * (1 + clock.drift)))  # without drift, still from 0 on
     fields = _fields(imus, clock, found, places)
-    return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)))
+    return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)), likely)
+
+
+def _stated(names: Sequence[str], joints: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+    """Return the places of sensors of which a map or their names state some."""
+    return {name: (joints.get(name, ""), float(name in joints)) for name in names}
 
 
 def _on_clock(log: SensorLog, clock: Callable[[Array], Array]) -> SensorLog:
@@ -184,13 +193,16 @@ def _check_overlap(log: SensorLog, times: Array) -> None:
         )
 
 
-def _assigned(log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence) -> tuple[dict[str, Field], list[str]]:
-    """Return the segments of the sensors that are sure, and sentences about the others.
+def _assigned(
+    log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence
+) -> tuple[dict[str, Field], list[str], dict[str, tuple[str, float]]]:
+    """Return the segments of the sensors that are sure, sentences about the others, and the likeliest segment of all.
 
     Raises:
-        InvalidInputError: none is sure.
+        UndecidedError: none is sure.
     """
     found = assign_sensors(log, skeleton, poses)
+    likely = {name: (joint, found.probabilities[name]) for name, joint in found.joints.items()}
     places, left = dict[str, Field](), list[str]()
     for name, joint in found.joints.items():
         sure = found.probabilities[name]
@@ -201,13 +213,13 @@ def _assigned(log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence) -> t
         else:
             left.append(f"{name} (on {joint}: {percent})")
     if not left:
-        return places, [found.doubt]
+        return places, [found.doubt], likely
     remedy = "name their segments in a file of two columns, --map FILE"
     if not places:
-        raise InvalidInputError(
-            f"{log.path}: the motion does not tell which sensor is where, {', '.join(left)}; {remedy}"
+        raise UndecidedError(
+            f"{log.path}: the motion does not tell which sensor is where, {', '.join(left)}; {remedy}", likely
         )
-    return places, [f"left out, as their segments are not sure: {', '.join(left)}; {remedy}"]
+    return places, [f"left out, as their segments are not sure: {', '.join(left)}; {remedy}"], likely
 
 
 def _fields(imus: ImuSequence, clock: ClockEstimate, found: Alignment, places: Mapping[str, Field]) -> Tables:
@@ -261,15 +273,17 @@ def sensors_by_pose(
     """Find headings and mounting of sensors without a video: the person stands still in a known pose for a second.
 
     Raises:
-        InvalidInputError: which sensor is where is not known.
+        UndecidedError: which sensor is where is not known.
         CalibrationError: the sensors never rest, or two are on one segment. Errors of the map.
     """
     places = known_places(log, sensor_map, skeleton)
     if places is None:
-        raise InvalidInputError(
+        raise UndecidedError(
             f"{log.path}: without a video it must be known which sensor is where; name their segments in a "
-            "file of two columns, --map FILE"
+            "file of two columns, --map FILE",
+            _stated(log.names, segments_of(log.names, skeleton)),
         )
+    likely = _stated(log.names, {name: str(one.value) for name, one in places.items()})
     log = log.select(list(places))
     found = calibrate_by_pose(log, {sensor: str(place.value) for sensor, place in places.items()}, pose, skeleton)
     imus = imus_of_log(log)
@@ -289,4 +303,4 @@ def sensors_by_pose(
         "names": Field(list(imus.names), Origin.ASSUMED, held, names),
         "sensors": _sensors(calibration_table(found.calibration), places, notes),
     }
-    return SetupSensors(replace(imus, times=imus.times - first), fields, found.warnings)
+    return SetupSensors(replace(imus, times=imus.times - first), fields, found.warnings, likely)

@@ -206,6 +206,11 @@ class Sources:
         return self.video is not None or self.keypoints is not None
 
     @property
+    def sizeless(self) -> bool:
+        """Whether no file says how large the image is."""
+        return self.keypoints is not None and self.video is None and self.camera is None
+
+    @property
     def paths(self) -> tuple[Path, ...]:
         """All files and folders."""
         single = (self.video, self.keypoints, self.camera, self.sensor_map, self.phone)

@@ -17,7 +17,7 @@ from rtof_kin.app.texts import TEXTS, Texts, languages, speak
 from rtof_kin.setup.sources import SourceKind
 
 ENGLISH = Texts()
-SAME = {"title"}
+SAME = {"title", "options", "person"}
 """What is not translated."""
 TITLED = {"steps"}
 """Pairs of two texts; in others the first one is a name of the engine."""

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from setup_support import pair, write_keypoints
+from inertial_support import walking
+from setup_support import pair, walker, write_keypoints, write_sensors
 
 from rtof_kin.app import work as module
+from rtof_kin.app.sources import MAP, write_map
 from rtof_kin.app.store import AT_WORK, State, Store
 from rtof_kin.app.work import Stages, Work
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.inertial.pose_calibration import pose_rotations
+from rtof_kin.reporting.summary_file import read_summary
+from rtof_kin.setup.init import read_findings
 
 
 def until(holds: Callable[[], bool], seconds: float = 60.0) -> None:
@@ -69,15 +78,71 @@ def test_of_two_people_one_is_chosen_by_the_picture(store: Store, work: Work) ->
     write_keypoints(store.new_file(folder, "keypoints.npz"), *pair())
     store.change(folder, size_px=(1920, 1080))
     work.ask(folder)
-    until(lambda: store.take(folder).state is State.FAILED)
-    assert "people" in store.take(folder).said
+    until(lambda: store.take(folder).state is State.ASKING)
     assert (folder / "recording" / "frames.png").is_file()
-    store.change(folder, person=2)
+    store.change(folder, person=2, learn=True)
     work.ask(folder)
     until(lambda: store.take(folder).state not in AT_WORK, 240)
     assert store.take(folder).said == ""
     assert "person_number = 2" in (folder / "recording" / "recording.toml").read_text()
     assert (folder / "report.html").is_file()
+    summary = read_summary(folder / "motion" / "summary.json")
+    assert summary.session.subject == "P07"
+    assert store.take(folder).learned == ("P07: nothing new in this recording",)
+
+
+def outcome(store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch, **values: Any) -> dict[str, Any]:
+    """What the process would send at last, done in this one."""
+    sent: list[Any] = []
+    monkeypatch.setattr(module, "end_with_parent", lambda: None)
+    monkeypatch.setattr(module.signal, "signal", lambda *_: None)
+    sender: Any = SimpleNamespace(send=sent.append)
+    module._reconstruct(str(folder), store.change(folder, look=True, **values), sender)
+    assert all(isinstance(one, tuple) for one in sent[:-1])
+    found: dict[str, Any] = sent[-1]
+    return found
+
+
+def test_a_recording_is_looked_at_before_it_is_reconstructed(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = store.add_take("P07", "2026-01-31", "third")
+    write_keypoints(store.new_file(folder, "first.npz"), walker())
+    write_keypoints(store.new_file(folder, "second.npz"), *pair())
+    with pytest.raises(InvalidInputError, match=r"first.npz and .*second.npz: each is a detector's keypoints"):
+        store.sources(folder)
+    store.change(folder, second=("second.npz",), size_px=(1920, 1080))
+    assert store.sources(folder).keypoints == folder / "files" / "first.npz"
+    assert outcome(store, folder, monkeypatch)["state"] is State.ASKING  # whom the second camera saw
+    found = outcome(store, folder, monkeypatch, second_person=2)
+    assert found == {"state": State.DRAFT, "said": "", "places": {}, "learned": ()}
+    assert read_findings(folder / "recording").given == ("the person is 1.73 m tall",)
+    assert "person_number = 2" in (folder / "second" / "recording.toml").read_text()
+    assert {path.name for path in folder.iterdir()} == {"files", "take.json", "recording", "second"}
+    store.change(folder, second=("first.npz", "second.npz"))
+    with pytest.raises(InvalidInputError, match="each is a detector's keypoints"):
+        store.sources(folder)
+
+
+def test_a_picture_without_a_person_is_said(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = store.add_take("P07", "2026-01-31", "third")
+    write_keypoints(store.new_file(folder, "nobody.npz"), np.full_like(walker(), np.nan))
+    found = outcome(store, folder, monkeypatch, size_px=(1920, 1080))
+    assert found["state"] is State.FAILED
+    assert "too few to recognise the layout" in found["said"]
+
+
+def test_sensors_that_are_not_known_are_asked_for_and_a_map_is_the_answer(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = store.add_take("P07", "2026-01-31", "third")
+    worn = walking(pose_rotations("N", SkeletonModel.default())).with_one_reference(1.0)
+    places = {f"A{n:02d}": place for n, place in enumerate(worn.joints.values())}
+    write_sensors(store.new_file(folder, "sensors.csv"), replace(worn.imus, names=tuple(places)))
+    found = outcome(store, folder, monkeypatch)
+    assert (found["state"], found["places"]) == (State.ASKING, dict.fromkeys(places, ("", 0.0)))
+    write_map(folder / "files" / MAP, {"A00": "", **dict(list(places.items())[1:])})
+    found = outcome(store, folder, monkeypatch)
+    assert found["state"] is State.DRAFT
+    assert found["places"] == {name: (place, 1.0) for name, place in places.items()} | {"A00": ("", 0.0)}
 
 
 def endless(_: str, __: Any, sender: Any) -> None:

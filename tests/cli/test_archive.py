@@ -23,7 +23,8 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     (folder / "jane.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
     assert cli("reconstruct", folder, "-o", out, "--mode", "sf2", "--no-figures").code == 0
     summary = json.loads((out / "summary.json").read_text())
-    summary["warnings"] = [f"{folder}/jane.mp4: Jane is far away"]
+    summary["warnings"] = [f"{folder}/jane.mp4: Jane is far away", "Maud.toml is of another person"]
+    summary["inputs"]["session"]["subject"] = "Maud"  # of the person's file
     (out / "summary.json").write_text(json.dumps(summary))
     for name in ("a.zip", "b.zip"):
         cli.ok("export", out, tmp_path / name, "--to", "archive", "--recording", folder)
@@ -35,9 +36,11 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     assert sums == {name: hashlib.sha256(content).hexdigest() for name, content in members.items()}
     assert {"recording/recording.toml", "result/motion.h5", "result/summary.json"} <= set(members)
     text = b"\n".join(members.values()).decode("latin1")
-    assert not re.search(r"jane|\broe\b|otto|gait lab|2026-01-31|take 7|\.mp4|" + re.escape(str(tmp_path)), text, re.I)
+    assert not re.search(
+        r"jane|\broe\b|maud|otto|gait lab|2026-01-31|take 7|\.mp4|" + re.escape(str(tmp_path)), text, re.I
+    )
     kept = json.loads(members["result/summary.json"])
-    assert kept["warnings"][-1].startswith("[left out]")
+    assert all(warning.startswith("[left out]") for warning in kept["warnings"][-2:])
     assert kept["settings"] == summary["settings"]
     assert kept["run"] == summary["run"]
     again = tmp_path / "again"

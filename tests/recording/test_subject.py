@@ -231,12 +231,17 @@ def test_what_a_recording_gives_is_not_replaced(tmp_path: Path, recording: Recor
     given = replace(
         recording, joint_offsets=SKELETON.with_bone_lengths({"LeftLeg": 0.43}).joint_offsets, height=1.75, posture=own
     )
-    assert subject.informed(given) == {"mass_kg": 71, "sex": "female"}
+    facts = subject.informed(given)
+    assert facts.pop("session").subject == subject.subject  # of nobody, as the recording has it
+    assert facts == {"mass_kg": 71, "sex": "female"}
+    named = replace(given, session=replace(given.session, subject="walker", place="Geneva"))
+    assert "session" not in subject.informed(named)
     assert contradictions(subject, given) == ("", ())
     assert set(given_by(given, "")) == {"height_m", "posture_deg.Spine1"} | {
         f"joint_offsets_m.{joint}" for joint in SKELETON.names[1:]
     }
     assert set(subject.informed(replace(recording, joint_offsets=None, height=1.75))) == {
+        "session",
         "mass_kg",
         "sex",
         "joint_offsets",
@@ -312,7 +317,7 @@ def test_bones_that_follow_the_height_are_not_given(recording: Recording) -> Non
 
 def test_bones_and_posture_of_another_skeleton_are_not_used(tmp_path: Path, recording: Recording) -> None:
     subject = by_hand(tmp_path, BY_HAND.replace('"P07"', '"P07"\nskeleton = "human36m"').replace("LeftLeg", "LKnee"))
-    assert set(subject.informed(recording)) == {"height", "mass_kg", "sex"}
+    assert set(subject.informed(recording)) == {"session", "height", "mass_kg", "sex"}
 
 
 def test_a_reader_gets_the_same(tmp_path: Path, recording: Recording) -> None:

@@ -10,8 +10,15 @@ import pytest
 from matplotlib.image import imread
 from setup_support import LAYOUT, beside, pair, people_in, walker, write_keypoints
 
-from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.setup.people import choose_person, number_people, read_people, write_frames_picture, write_people
+from rtof_kin.core.errors import InvalidInputError, UndecidedError
+from rtof_kin.setup.people import (
+    choose_person,
+    number_people,
+    people_in_picture,
+    read_people,
+    write_frames_picture,
+    write_people,
+)
 from rtof_kin.vision.keypoint_files import read_detector_file
 
 
@@ -58,7 +65,7 @@ def test_a_passer_by_is_neither_numbered_nor_asked_about(tmp_path: Path) -> None
 
 def test_two_equal_people_are_left_to_the_user_in_one_sentence(tmp_path: Path) -> None:
     people = people_in(write_keypoints(tmp_path / "two.npz", *pair()))
-    with pytest.raises(InvalidInputError) as error:
+    with pytest.raises(UndecidedError) as error:
         choose_person(people, None, "out/frames.png")
     assert str(error.value) == (
         "2 people are in the video: look at out/frames.png and choose one with --person 1 or --person 2"
@@ -105,3 +112,19 @@ def test_every_person_is_drawn_in_a_colour_of_its_own(tmp_path: Path) -> None:
     assert share(tmp_path / "one.png", FIRST) > 1e-3
     assert share(tmp_path / "one.png", SECOND) == 0.0
     assert share(tmp_path / "two.png", SECOND) > 1e-3
+
+
+def test_the_picture_says_where_everybody_is_in_it(tmp_path: Path) -> None:
+    picture = tmp_path / "two.png"
+    write_frames_picture(picture, people_in(write_keypoints(tmp_path / "two.npz", *pair())), LAYOUT, (1920, 1080))
+    image = np.asarray(imread(picture))[..., :3]
+    height, width = image.shape[:2]
+    boxes = people_in_picture(picture)
+    assert [number for number, *_ in boxes] == [1, 2] * 6
+    for number, *box in boxes:
+        left, top, right, bottom = np.round(np.multiply(box, [width, height, width, height])).astype(int)
+        inside, color = image[top:bottom, left:right], (FIRST, SECOND)[int(number) - 1]
+        assert (np.abs(inside - color).max(axis=-1) < 0.02).mean() > 0.05
+    assert people_in_picture(tmp_path / "none.png") == []
+    picture.write_bytes(b"damaged")
+    assert people_in_picture(picture) == []

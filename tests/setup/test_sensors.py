@@ -108,6 +108,11 @@ def test_unnamed_sensors_are_placed_by_motion_or_left_out_and_named(take: Take) 
         assert "by its motion" in joint.note
     for name in left:
         assert any(name in doubt and "--map FILE" in doubt for doubt in found.doubts)
+    assert found.places.keys() == take.segments.keys()
+    assert all(found.places[name][1] < 0.95 for name in left)
+    assert all(
+        found.places[name] == (take.segments[name], pytest.approx(0.975, abs=0.025)) for name in found.imus.names
+    )
 
 
 def test_sensors_that_do_not_move_are_left_out_and_named_or_refused(take: Take) -> None:

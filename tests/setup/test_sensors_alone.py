@@ -11,7 +11,7 @@ from inertial_support import Worn, walking
 from setup_support import write_sensors
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import UndecidedError
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.init import make_recording
@@ -49,8 +49,10 @@ def test_unnamed_sensors_without_a_video_need_a_map(files: tuple[Path, Path], tm
         lines[0] = lines[0].replace(sensor, serial)
     unnamed = tmp_path / "unnamed.csv"
     unnamed.write_text("\n".join(lines).replace("Up", "x").replace("Low", "y").replace("Leg", "z"))
-    with pytest.raises(InvalidInputError, match="it must be known which sensor is where; name their segments"):
+    with pytest.raises(UndecidedError, match="it must be known which sensor is where; name their segments") as error:
         make_recording([unnamed], tmp_path / "rec")
+    assert error.value.places
+    assert set(error.value.places.values()) <= {("", 0.0), ("Hips", 1.0), ("Head", 1.0)}
     assert not (tmp_path / "rec").exists()
 
 
