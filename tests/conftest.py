@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +33,11 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = TemporaryDirectory(prefix="rtof_kin_tests_")
         config.add_cleanup(folder.cleanup)
         os.environ[CACHE] = folder.name
+
+
+def pytest_collection_finish() -> None:
+    """Modules and items stay to the end: the garbage collector need not look at them again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
