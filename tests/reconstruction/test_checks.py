@@ -60,9 +60,9 @@ BY_BENCHMARK = (
 
 @cache
 def demo(seconds: float = 6.0) -> Recording:
-    """The beginning of the demo."""
+    """The beginning of the demo, at half the rate of its video."""
     whole = Recording.load(model_path("demo"))
-    keypoints = whole.video[: round(60 * seconds)]
+    keypoints = whole.video[: round(60 * seconds) : 2]
     imus = whole.imus[: int(np.searchsorted(whole.imus.times, keypoints.times[-1], "right"))]
     return replace(whole, keypoints=keypoints, imus=imus, truth=None)
 
@@ -164,7 +164,7 @@ def test_clock_offset_beyond_the_range_of_calibration_is_estimated(seconds: floa
 
 def test_clock_offset_of_periodic_motion_is_unknown() -> None:
     k, imus = demo().video, demo().imus
-    once = 90  # frames, repeated four times
+    once = 45  # frames, repeated four times
     kept = np.searchsorted(imus.times, k.times[:once]).clip(0, len(imus) - 1)
     uv, confidence, R, f = (
         np.tile(v, (4, *[1] * (v.ndim - 1)))
