@@ -19,6 +19,8 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip, read_mocap, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 
+QUICK = ReconstructionSettings(confidence=False, checks=False)
+"""Without what no score depends on."""
 WALK = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 
 
@@ -46,7 +48,7 @@ def test_sf2_is_no_worse_than_the_lift(rig: str) -> None:
             for clip in clips(rig):
                 for camera in (0, 2):
                     recording = harness.recorded(clip, camera, kind, harness.SENSOR_SETS[sensors], 0)
-                    scores = reconstruct(recording, mode="sf2", lifter=lifter).stage_metrics
+                    scores = reconstruct(recording, mode="sf2", lifter=lifter, settings=QUICK).stage_metrics
                     figures = ("mpjpe_rr_mm", "flexion_deg")
                     change.append([scores["sf2"][name] - scores["lift"][name] for name in figures])
             mm, degrees = np.mean(change, axis=0)
@@ -61,7 +63,6 @@ def test_the_optimiser_is_no_worse_than_sf2(rig: str, most: float) -> None:
     for clip in clips(rig):
         for camera in (0, 2):
             recording = harness.recorded(clip, camera, "realistic", harness.SENSOR_SETS["10"], 0)
-            settings = ReconstructionSettings(confidence=False)
-            scores = reconstruct(recording, lifter=lifter, settings=settings).stage_metrics
+            scores = reconstruct(recording, lifter=lifter, settings=QUICK).stage_metrics
             change.append(scores["rtof"]["mpjpe_rr_mm"] - scores["sf2"]["mpjpe_rr_mm"])
     assert np.mean(change) < most, change
