@@ -25,7 +25,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """What a phone and two sensors would have written of some seconds of the demo."""
     demo, folder = Recording.load(model_path("demo")), tmp_path_factory.mktemp("raw") / "files"
     first = demo.times[0]
-    write_raw_files(demo.between(first, first + 6.0), folder)
+    write_raw_files(demo.between(first + 9.0, first + 12.5), folder)
     return [folder / "keypoints.csv", *sorted((folder / "dots").iterdir())[:2], folder / "places.csv"]
 
 
