@@ -45,6 +45,7 @@ _DRIFT_PER_METRE = 0.05  # [-] of the distance walked; measured, see benchmarks/
 _FLIGHT = 0.5  # [m/s^2] error of the acceleration while no foot stands
 _ALOFT = 0.3  # [m/s] largest error of the velocity from that
 _SEEN = 0.3  # [m] of the root in a frame with keypoints; errors are correlated
+_PLACE = 0.05  # [m] of the root in a frame by points in space; errors last
 _EDGE = 0.05  # [m] of the mean root where a gap begins or ends
 _ORIGIN = 1e-3  # [m] of the first frame's horizontal position about the origin
 _ROUNDS = 5  # of reweighting the lower foot
@@ -160,17 +161,23 @@ class RootPath:
 
 
 def root_path(
-    poses: PoseSequence, bone_imus: BoneImuSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float
+    poses: PoseSequence,
+    bone_imus: BoneImuSequence,
+    contacts: Contacts,
+    skeleton: SkeletonModel,
+    ankle_height: float,
+    places: Array | None = None,
 ) -> RootPath:
     """Estimate the root's path from contacts and accelerations.
 
     Args:
         poses: (T, J) rigid, evenly spaced; its root may be anywhere.
         ankle_height: z in world of a standing ankle, m.
+        places: (T, 3) m, where points in space show the root, NaN where they do not; they end its drift.
 
     Returns:
-        A path that begins over the origin. Without foot sensors it stays there, with the lowest joint of
-        the first frame at that height.
+        A path that, without places, begins over the origin. Without foot sensors it stays there, with the lowest joint
+        of the first frame at that height.
     """
     T = len(poses)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]
@@ -178,7 +185,10 @@ def root_path(
         begin = np.array([0.0, 0.0, ankle_height - relative[0, :, 2].min()])
         return RootPath(np.tile(begin, (T, 1)), np.full(T, np.nan))
     system = _System(T, poses.rate_hz)
-    system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
+    if places is None:
+        system.add(0, np.array([0]), np.array([0.0, 0.0, np.nan]), _ORIGIN**-2)
+    else:
+        system.add(0, np.arange(T), places, _PLACE**-2)
     p = _walked(system, poses, bone_imus, contacts, skeleton, ankle_height)
     return RootPath(p, _drift(p, np.asarray(~contacts.standing.any(axis=1)), poses.rate_hz))
 

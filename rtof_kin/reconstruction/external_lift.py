@@ -51,11 +51,11 @@ _DELAYS: Final = np.arange(-12, 13) * 0.04  #: [s] by which the clock may differ
 _SAMPLE: Final = 400  #: Frames by which rotation and delay are found
 _SAME: Final = 0.01  #: Relative misfit within which a delay counts as none
 _CORRELATION: Final = 0.3  #: [1] of the errors of two lifts of one image
-_LEAST: Final = np.array([0.01, 0.02])  #: [m] least standard deviation across and along the ray of a joint
+LEAST: Final = np.array([0.01, 0.02])  #: [m] least standard deviation across and along the ray of a joint
 _MOST_RATIO: Final = 3.0  #: Largest ratio of the two lifts' errors across the ray
 _FOREIGN: Final = 2.5  #: Differences from the own lift, relative to its standard deviations, from which it is left out
-_FEWEST: Final = 8  #: Fewest joints that its points show
-_LONGEST_GAP: Final = 0.2  #: [s] between samples that are interpolated
+FEWEST: Final = 8  #: Fewest joints that its points show
+LONGEST_GAP: Final = 0.2  #: [s] between samples that are interpolated
 _UNKNOWN: Final = 1e3  #: [m], [rad] of what it does not show
 _UNIT: Final = 0.25  #: Largest logarithm of the scale relative to a unit's
 _BEST: Final = 0.7  #: Least error of the other lift along the ray, relative to the own one's
@@ -74,7 +74,7 @@ class Agreement:
     scale: float  #: Metres of the body in a unit of the file
     delay: float  #: [s] by which the points are late
     R_world_file: Array  #: (3, 3)
-    sigma: tuple[float, float]  #: [m] RMS standard deviations of the joints that it shows, and of the own lift's, in 3D
+    sigma: tuple[float, float]  #: [m] RMS standard deviations of its joints, and of the own lift's or NaN, in 3D
     doubt: str = ""  #: Why it is not used; '' where it is
     exchanged: float = 0.0  #: Share of its frames in which sides were exchanged back
 
@@ -90,9 +90,10 @@ class Agreement:
         up = max(UP, key=lambda axis: float(self.R_world_file[2] @ UP[axis][2]))
         late = f"{abs(1000 * self.delay):.0f} ms {'late' if self.delay > 0 else 'early'}" if self.delay else "in time"
         own, other = (f"{1000 * size:.0f} mm" for size in reversed(self.sigma))
+        own = "" if np.isnan(self.sigma[1]) else f", the own lift to {own}"
         found = f"{unit or 'in a unit of its own'} (scale {self.scale:.3g}), {up} up, {late}"
         found += f", sides exchanged back in {100 * self.exchanged:.0f} % of its frames" if self.exchanged else ""
-        return f"{self.name} ({self.title}): {found}; joints to {other}, the own lift to {own}"
+        return f"{self.name} ({self.title}): {found}; joints to {other}{own}"
 
 
 def external(
@@ -108,41 +109,45 @@ def external(
         bone_imus: sensors at these times; on their segments they tell which lift is better.
 
     Raises:
-        InvalidInputError: names of no known convention, or they show fewer than `_FEWEST` joints.
+        InvalidInputError: names of no known convention, or they show fewer than `FEWEST` joints.
     """
     if own.poses.names != SkeletonModel.default().names:
         raise InvalidInputError(f"{lift.name}: the points of another model need the 21-joint skeleton")
-    title, usual, columns, segments, places, spread = _placed(lift, skeleton)
+    title, usual, columns, segments, places, spread = placed_points(lift, skeleton)
     poses, times, clock = own.poses, lift.points.times, video.video_times
     R, p = poses.R_world_bone, poses.p_world_joint
     at = lift.points.p_world[:, columns]
     model = p[:, segments] + np.einsum("tkij,kj->tki", R[:, segments], places)
-    joints = _nearest(segments, places, skeleton)
-    offset, seen, mean = model - p[:, joints], video.select(skeleton.names), partial(_joints, joints, spread, p.shape)
+    joints = nearest_joints(segments, places, skeleton)
+    offset, seen, mean = (
+        model - p[:, joints],
+        video.select(skeleton.names),
+        partial(mean_joints, joints, spread, p.shape),
+    )
     delay, scale, R_world_file, distance = _alignment(times, at, clock, model)
 
     def shown_at(delay: float) -> Array:
-        late = signals.interpolate(times, at, clock + delay, _LONGEST_GAP)
+        late = signals.interpolate(times, at, clock + delay, LONGEST_GAP)
         return mean(scale * late @ R_world_file.T - offset)
 
     delay = _delay(lambda other: _misfit(shown_at(other), seen), delay)
     for _ in range(2):
         shown = shown_at(delay)
-        scale, R_world_file = scale * _by_bones(shown, skeleton), _by_image(shown, seen) @ R_world_file
-    shown, exchanged = _sides_mended(shown_at(delay), p, skeleton)
-    turned = _turned(R, p, shown, skeleton)
+        scale, R_world_file = scale * by_bones(shown, skeleton), _by_image(shown, seen) @ R_world_file
+    shown, exchanged = sides_mended(shown_at(delay), p, skeleton)
+    turned = turned_to(R, p, shown, skeleton)
     positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
     sigma_own = _relative_sigma(own)
     known = _known(shown, skeleton)
     difference = _by_ray(positions - p, p, video.camera)
     ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.nan
-    least = np.maximum(np.maximum(_LEAST, usual), _spread_of_joints(joints, spread, len(skeleton.names)))
+    least = np.maximum(np.maximum(LEAST, usual), spread_of_joints(joints, spread, len(skeleton.names)))
     worse = np.zeros(len(skeleton.names)) if bone_imus is None else _by_sensors(R, turned, bone_imus, skeleton)
     error, sigma = _sigma(difference, sigma_own, known, _image_ratio(positions, p, seen), worse, least)
     sigma_rad = np.full(known.shape, _UNKNOWN)
-    for j, ends in _bearing(skeleton).items():
+    for j, ends in bearing(skeleton).items():
         shows = known[:, [end for pair in ends for end in pair]].all(axis=1)
-        sigma_rad[shows, j] = np.sqrt(np.mean([_direction(sigma, pair, skeleton) for pair in ends]))
+        sigma_rad[shows, j] = np.sqrt(np.mean([direction(sigma, pair, skeleton) for pair in ends]))
     lifted = Lifted(
         replace(poses, p_world_joint=positions, R_world_bone=turned, sigma_rad=sigma_rad),
         np.where((sigma_rad < _UNKNOWN)[..., None, None], turned, np.nan),
@@ -155,7 +160,7 @@ def external(
     return lifted, Agreement(lift.name, title, scale, delay, R_world_file, (sizes[0], sizes[1]), doubt, exchanged)
 
 
-def _sides_mended(shown: Array, p: Array, skeleton: SkeletonModel) -> tuple[Array, float]:
+def sides_mended(shown: Array, p: Array, skeleton: SkeletonModel) -> tuple[Array, float]:
     """Return joints (T, J, 3) with legs or arms exchanged in frames in which they are nearer so to those of the own
     lift (T, J, 3), both from the middle of the hips; and the share of such frames.
     """
@@ -196,9 +201,9 @@ def _doubt(times: Array, at: Array, clock: Array, model: Array, ratio: float, di
     `ratio`: of the differences from the own lift to its standard deviations; NaN where there is no common frame.
     `distance`: from a model (T', K, 3) at `clock`, m.
     """
-    shown: Mask = np.asarray(np.isfinite(at).all(axis=-1).sum(axis=1) >= _FEWEST)
+    shown: Mask = np.asarray(np.isfinite(at).all(axis=-1).sum(axis=1) >= FEWEST)
     if not shown.any():
-        return f"it shows nobody: no frame has {_FEWEST} of the points that are needed"
+        return f"it shows nobody: no frame has {FEWEST} of the points that are needed"
     first, last = times[shown][[0, -1]]
     if np.isnan(ratio):
         span = f"{first:.2f} to {last:.2f} s, the video {clock[0]:.2f} to {clock[-1]:.2f} s"
@@ -215,7 +220,7 @@ def _doubt(times: Array, at: Array, clock: Array, model: Array, ratio: float, di
     return "its motion is not that in the video: of another person or take, at another rate, or it fails here"
 
 
-def _placed(lift: LiftPoints, skeleton: SkeletonModel) -> tuple[str, Array, list[int], Array, Array, Array]:
+def placed_points(lift: LiftPoints, skeleton: SkeletonModel) -> tuple[str, Array, list[int], Array, Array, Array]:
     """Return the title of the points' convention, its usual errors (2,) across and along the ray, m, and the columns,
     segment, place (K, 3), m, and standard deviation of that place per axis (K,), m, of each point.
 
@@ -232,15 +237,15 @@ def _placed(lift: LiftPoints, skeleton: SkeletonModel) -> tuple[str, Array, list
         title, usual, sigma = f"markers, {markers.set_name}", np.zeros(2), markers.sigma_place.mean(axis=1)
         of = zip(markers.names, markers.segments, markers.p_bone_marker, sigma, strict=True)
         rows = [(names.index(name), segment, place, sd) for name, segment, place, sd in of]
-    if (count := len({row[1] for row in rows})) < _FEWEST:
-        raise InvalidInputError(f"{lift.name}: its points are on {count} segments; give {_FEWEST} or more")
+    if (count := len({row[1] for row in rows})) < FEWEST:
+        raise InvalidInputError(f"{lift.name}: its points are on {count} segments; give {FEWEST} or more")
     columns, segments, places, spread = zip(*rows, strict=True)
     size = skeleton.height / SkeletonModel.default().height
     at = np.array(skeleton.index(*segments))
     return title, usual, list(columns), at, size * np.array(places), size * np.array(spread)
 
 
-def _nearest(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
+def nearest_joints(segments: Array, places: Array, skeleton: SkeletonModel) -> Array:
     """Return the joint at an end of each point's segment that is nearest to it (K,)."""
     out = segments.copy()
     for k, (segment, place) in enumerate(zip(segments, places, strict=True)):
@@ -255,7 +260,7 @@ def _alignment(times: Array, points: Array, at: Array, model: Array) -> tuple[fl
     their RMS distance, m.
     """
     step = max(1, len(at) // _SAMPLE)
-    late = ((delay, signals.interpolate(times, points, at[::step] + delay, _LONGEST_GAP)) for delay in _DELAYS)
+    late = ((delay, signals.interpolate(times, points, at[::step] + delay, LONGEST_GAP)) for delay in _DELAYS)
     found = [(delay, *_similarity(seen, model[::step])) for delay, seen in late]
     delay, distance, scale, R = min(found, key=lambda row: row[1])
     return float(delay), scale, R, distance
@@ -283,7 +288,7 @@ def _similarity(points: Array, model: Array) -> tuple[float, float, Array]:
     model's, with Cauchy weights; infinite distance where there are none.
     """
     both: Mask = np.asarray(np.isfinite(points + model).all(axis=-1))
-    enough = both.sum(axis=1) >= _FEWEST
+    enough = both.sum(axis=1) >= FEWEST
     if not enough.any():
         return np.inf, 1.0, np.eye(3)
     both = both[enough]
@@ -303,7 +308,7 @@ def _similarity(points: Array, model: Array) -> tuple[float, float, Array]:
     return float(np.sqrt(np.mean(np.minimum(distance[both], 0.3) ** 2))), scale, R
 
 
-def _joints(joints: Array, spread: Array, shape: tuple[int, ...], points: Array) -> Array:
+def mean_joints(joints: Array, spread: Array, shape: tuple[int, ...], points: Array) -> Array:
     """Return joints (T, J, 3) as the mean of what points (T, K, 3) say of theirs, by the standard deviations of their
     places (K,); NaN where none does.
     """
@@ -317,13 +322,13 @@ def _joints(joints: Array, spread: Array, shape: tuple[int, ...], points: Array)
     return out
 
 
-def _spread_of_joints(joints: Array, spread: Array, count: int) -> Array:
+def spread_of_joints(joints: Array, spread: Array, count: int) -> Array:
     """Return the standard deviation (J, 1), m, of each joint's place by those of its points; 0 where it has none."""
     information = np.bincount(joints, 1 / spread**2, count)
     return np.asarray(np.where(information > 0, 1 / np.sqrt(np.maximum(information, 1e-9)), 0.0))[:, None]
 
 
-def _by_bones(shown: Array, skeleton: SkeletonModel) -> float:
+def by_bones(shown: Array, skeleton: SkeletonModel) -> float:
     """Return the factor that gives bones between shown joints (T, J, 3) the skeleton's lengths, in the median."""
     ends = [j for j in range(1, len(skeleton.names)) if skeleton.names[j].endswith(("Leg", "Foot", "ForeArm", "Hand"))]
     bones = shown[:, ends] - shown[:, [skeleton.parents[j] for j in ends]]
@@ -359,7 +364,7 @@ def _off_image(joints: Array, video: KeypointSequence) -> tuple[Array, Array, Ma
     """
     camera = video.camera
     known: Mask = np.asarray(np.isfinite(joints).all(axis=-1) & video.seen)
-    known = known & (known.sum(axis=1) >= _FEWEST)[:, None]
+    known = known & (known.sum(axis=1) >= FEWEST)[:, None]
     out, by_turn = np.zeros((*known.shape, 2)), np.zeros((*known.shape, 2, 3))
     frames = np.flatnonzero(known.any(axis=1))
     if not len(frames):
@@ -380,7 +385,7 @@ def _off_image(joints: Array, video: KeypointSequence) -> tuple[Array, Array, Ma
     return out, by_turn, known
 
 
-def _bearing(skeleton: SkeletonModel) -> dict[int, list[tuple[int, int]]]:
+def bearing(skeleton: SkeletonModel) -> dict[int, list[tuple[int, int]]]:
     """Return segments and the pairs of joints whose directions show how each is turned, once for each axis."""
     at = skeleton.names.index
     chains = {at(a): [(at(a), at(b))] for limb in kinematics.LIMBS for a, b in pairwise(limb)}
@@ -390,7 +395,7 @@ def _bearing(skeleton: SkeletonModel) -> dict[int, list[tuple[int, int]]]:
     return chains
 
 
-def _direction(sigma: Array, pair: tuple[int, int], skeleton: SkeletonModel) -> float:
+def direction(sigma: Array, pair: tuple[int, int], skeleton: SkeletonModel) -> float:
     """Return the variance of the direction between two joints whose standard deviations are sigma (J, 2), rad^2."""
     places = kinematics.positions(
         skeleton.parents, skeleton.joint_offsets, np.zeros((1, 3)), np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
@@ -398,7 +403,7 @@ def _direction(sigma: Array, pair: tuple[int, int], skeleton: SkeletonModel) -> 
     return float(np.mean(sigma[list(pair)] ** 2) * 2 / np.sum((places[pair[0]] - places[pair[1]]) ** 2))
 
 
-def _turned(R: Array, p: Array, shown: Array, skeleton: SkeletonModel) -> Array:
+def turned_to(R: Array, p: Array, shown: Array, skeleton: SkeletonModel) -> Array:
     """Return orientations (T, J, 3, 3): those of the own lift, turned as the shown joints (T, J, 3) are to its own.
 
     Pelvis and upper trunk turn with hips or shoulders and the line between them; limbs by the smallest rotation.
@@ -454,7 +459,7 @@ def _image_ratio(other: Array, own: Array, video: KeypointSequence) -> Array:
     for joints in (other, own):
         off, _, known = _off_image(joints, video)
         count = np.maximum(known.sum(axis=0), 1)
-        sizes.append(np.sqrt((np.sum(off**2, axis=-1) * known).sum(axis=0) / count) + _LEAST[0])
+        sizes.append(np.sqrt((np.sum(off**2, axis=-1) * known).sum(axis=0) / count) + LEAST[0])
     return np.asarray(np.clip(sizes[0] / sizes[1], 1 / _MOST_RATIO, _MOST_RATIO))
 
 

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
@@ -20,14 +19,16 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import Contacts, RootPath, by_hand, contact_points, detect_contacts, root_path
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
+from rtof_kin.reconstruction.points_beside_sensors import beside_sensors, decorrelated, on_path, rooted
 from rtof_kin.reconstruction.prepare import Job, cleaned
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
+from rtof_kin.solve.terms import PointData, PointTerm
 
 _LOW = 0.75  # Fraction of the standing root height below which a person sits, kneels or lies
 _LONG = 1.0  # [s] of that, or without contact, that causes a warning
@@ -57,17 +58,35 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
     start = poses_from_sensors(skeleton, bone_imus)
-    found = detect_contacts(start, bone_imus, skeleton)
-    contacts = by_hand(found, start.times, job.recording.corrections)
+    read = [beside_sensors(lift, start, bone_imus, skeleton) for lift in recording.lifts]
+    points = next((found for found, agreement in read if not agreement.doubt), None)
+    left_out = (agreement.warning for _, agreement in read if agreement.doubt)
+    said = job.recording.corrections
+    contacts = by_hand(detect_contacts(start, bone_imus, skeleton), start.times, said)
     path = root_path(start, bone_imus, contacts, skeleton, ankle_height)
     start = _on_path(start, path, contacts, skeleton)
+    if points is not None:
+        points, start, path, contacts = on_path(points, start, path, bone_imus, skeleton, ankle_height, said)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
     stand = contact_points(contacts, ankles, ankle_height)
     places = *bone_imus.joints, *settings.sensor_joints
-    solution = FragmentSolver(skeleton, settings.frames, replace(solver, floor_height=None), places).solve(
-        start, None, bone_imus, lambda done, total: job.progress("imu", done, total), stand
+    terms, observed, used = tuple[PointTerm, ...](), dict[str, PointData](), replace(solver, floor_height=None)
+    if points is not None:  # they place the contacts too, and their errors last
+        factor = solver.largest_correlation_factor
+        terms, observed = points.terms(skeleton), points.observed(skeleton, factor)
+        used = replace(used, sigma_contact=factor * solver.sigma_contact)
+    solution = FragmentSolver(skeleton, settings.frames, used, places, terms=terms).solve(
+        start,
+        None,
+        bone_imus,
+        lambda done, total: job.progress("imu", done, total),
+        stand,
+        points is not None and settings.confidence,
+        observed=observed,
     )  # the contact points contain the floor
     motion = skeleton.motion(solution.poses)
+    if points is not None:
+        motion = replace(motion, confidence=decorrelated(solution, path))
     stages = {"start": start, "imu": motion.poses}
     scores = stage_metrics(stages, recording.truth, skeleton, "imu")
     return Reconstruction(
@@ -82,8 +101,9 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
         scores,
         path.sigma,
         faults,
-        _warnings(start, contacts, skeleton, ankle_height),
+        (*left_out, *(_warnings(start, contacts, skeleton, ankle_height) if points is None else ())),
         checks=check_sensor_form(job.recording) if settings.checks else (),
+        lifts=tuple(agreement for _, agreement in read),
         choices=Choices(settings=settings.with_fragment(solver)),
     )
 
@@ -102,9 +122,7 @@ def _on_path(start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: 
     """Poses with their root on a path, which sensors on the legs observed."""
     provenance = start.provenance.copy()
     provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
-    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, path.p_world, start.R_world_bone)
-    valid = valid_positions(provenance, start.times, skeleton.parents)
-    return replace(start, p_world_joint=p, provenance=provenance, valid=valid)
+    return rooted(replace(start, provenance=provenance), path.p_world, skeleton)
 
 
 def _warnings(start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float) -> tuple[str, ...]:

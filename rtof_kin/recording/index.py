@@ -89,11 +89,11 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         notes = "\n".join(filter(None, (notes, note)))
     views = tuple(filmed_stream(view.camera, view.keypoints, table, source)[0] for view in index.views)
     lifts = tuple[LiftPoints, ...]()
-    if index.lift is not None and keypoints is not None and index.keypoints is not None:
+    if index.lift is not None:
         files = [split_convention(name) for name in index.lift.files]
-        video_times = keypoints.times - index.keypoints.start_s
+        filmed = None if keypoints is None or index.keypoints is None else keypoints.times - index.keypoints.start_s
         lifts = tuple(
-            read_lift_points(data_path(index.lift, field="files", name=str(file)), convention, video_times)
+            read_lift_points(data_path(index.lift, field="files", name=str(file)), convention, filmed)
             for file, convention in files
         )
     body = body_of(**facts)

@@ -187,7 +187,7 @@ class Recording(RecordingSource):
     """Further cameras of the same person on the same clock, at times of their own; the first camera is that
     of `keypoints`."""
     lifts: tuple[LiftPoints, ...] = ()
-    """3D points that other models see in the video of the first camera; without one they mean nothing."""
+    """3D points that other models see in the video of the first camera, or beside the sensors in mode imu."""
     corrections: tuple[Correction, ...] = ()  #: By hand; the samples have them
     is_part: bool = False  #: Whether it was cut from a longer recording, on which the clocks were checked
 
@@ -343,7 +343,7 @@ class Recording(RecordingSource):
         arrays = {keypoint_file(i): keypoint_file_arrays(one) for i, one in enumerate(seen)}
         if self.imus is not None:
             arrays[IMUS] = imu_arrays(self.imus)
-        for name, other in zip(_lift_files(self.lifts), self.lifts, strict=True) if seen else ():
+        for name, other in zip(_lift_files(self.lifts), self.lifts, strict=True):
             arrays[name] = _lift_arrays(other.points)
         if self.truth is not None:
             arrays[_TRUTH] = {name: getattr(self.truth, name) for name in TRUTH}
@@ -380,7 +380,7 @@ class Recording(RecordingSource):
             index["imus"] = {"sensors": calibration_table(self.calibration) if self.calibration else {}}
         if self.imus is not None:
             index["imus"] |= {"file": IMUS, "names": list(self.imus.names)}
-        if self.lifts and self.keypoints is not None:
+        if self.lifts:
             own = zip(_lift_files(self.lifts), self.lifts, strict=True)
             index["lift"] = {"files": [f"{file}:{one.convention}".rstrip(":") for file, one in own]}
         if self.posture is not None:

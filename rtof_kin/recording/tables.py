@@ -369,11 +369,12 @@ class TruthTable(InputTable):
 
 
 class LiftTable(InputTable):
-    """3D points that other models see in the video of the first camera."""
+    """3D points that other models see in the video of the first camera, or beside sensors without one."""
 
     files: Annotated[Names, Field(examples=[["points.trc", "joints.npz:smpl24"]])]
-    """Each a .trc, .c3d, .npz, .json or .csv inside the folder (lift.md), at times of the video's own clock; after a
-    colon the convention of its joints, where their names or number do not say it."""
+    """Each a .trc, .c3d, .npz, .json or .csv inside the folder (lift.md), at times of the video's own clock, or
+    of the sensors' without a video; after a colon the convention of its joints, where their names or number do not
+    say it."""
 
 
 class CorrectionTable(InputTable):
@@ -455,5 +456,4 @@ class RecordingTable(InputTable):
             absent=("camera", "keypoints", "views"),
             required=("imus",),
         ),
-        Rule("is missing; other models see the person of a camera", given=("lift",), required=("camera",)),
     )

@@ -102,7 +102,11 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         )
     ]
     if first.keypoints is None:
-        yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
+        yield AuditResult.not_checked(
+            "streams",
+            "keypoints",
+            "the motion is from sensors" + (" and points" if any(not one.doubt for one in first.lifts) else " only"),
+        )
         shares = shares[1:]  # only joints between sensors are valid there
     else:
         note = "occluded, out of the image, or not detected"
@@ -131,7 +135,8 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         else:
             yield AuditResult.warning("streams", "motion", warning)
     if math.isfinite(drift := statistics.root_sigma):
-        text = f"its position drifts, with a standard deviation of {drift:.2f} m per axis at the end"
+        how = "follows points" if any(not one.doubt for one in statistics.first.lifts) else "drifts"
+        text = f"its position {how}, with a standard deviation of {drift:.2f} m per axis at the end"
         yield AuditResult.remark("streams", "root", text)
 
 

@@ -232,11 +232,11 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
-    image = "one camera" if cameras <= 1 else f"{cameras} cameras"
-    if used := summary.inputs.get("lifts"):
-        image += f" with the 3D points of {_listed(used)}"
+    image, used = "one camera" if cameras <= 1 else f"{cameras} cameras", summary.inputs.get("lifts")
+    points = f" with the 3D points of {_listed(used)}" if used else ""
+    image += points
     if not summary.inputs.get("camera"):
-        return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
+        return f"{count} ({names}){points}, without a camera" if carriers else "no camera and no sensors"
     if summary.mode == IMAGE_FREE:
         return f"{count} ({names}); the camera{' was' if cameras <= 1 else 's were'} not used"
     if summary.mode in IMAGE_ALONE:

@@ -62,8 +62,9 @@ class ReconstructionTask:
     """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
     live (of the live commands)."""
     lift: tuple[Path, ...] = ()
-    """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift;
-    FILE:CONVENTION where names or number of its joints do not say which they are. May be given more than once."""
+    """3D points of another model on the video's clock (.trc, .c3d, .npz, .json, .csv), weighed beside the own lift, or
+    beside sensors in mode imu; FILE:CONVENTION where names or number of its joints do not say which they are. May be
+    given more than once."""
     layout: Path | None = None
     """A file (.toml) with the layout of points that the recording names (docs/layouts.md)."""
     calibrate: bool = False
@@ -105,10 +106,9 @@ class ReconstructionTask:
             return source
         from rtof_kin.vision.lift_points import read_lift_points, split_convention
 
-        first = source.facts.keypoints
-        if source.frame_times is None or first is None:
-            raise InvalidInputError("--lift needs a video, which the recording lacks; leave it out")
-        times = source.frame_times - first.times[0] + first.video_times[0]
+        first, times = source.facts.keypoints, source.frame_times
+        if times is not None and first is not None:
+            times = times - first.times[0] + first.video_times[0]
         read = (read_lift_points(*split_convention(file), times) for file in self.lift)
         return source.with_facts(lifts=(*source.facts.lifts, *read))
 
