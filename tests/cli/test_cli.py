@@ -226,9 +226,22 @@ def test_points_of_other_models_count_beside_the_own_lift_and_are_named(short: P
         assert b"mirrored.npz" not in archive.read("result/summary.json")
 
 
-def test_a_lift_needs_a_video(wrong: Path, tmp_path: Path, cli: Any) -> None:
-    done = cli.refused("reconstruct", wrong / "sensors_only", "-o", tmp_path / "out", "--lift", tmp_path / "a.trc")
-    assert "--lift needs a video, which the recording lacks; leave it out" in done.err
+def test_a_lift_stands_beside_sensors_without_a_video(short: Path, tmp_path: Path, cli: Any) -> None:
+    recording, given = Recording.load(short), tmp_path / "joints.npz"
+    assert recording.truth is not None
+    assert recording.imus is not None
+    recording = replace(recording, keypoints=None, imus=recording.imus[:150])
+    at = at_times(recording.truth, recording.times[::2])
+    np.savez(given, times=at.times - 7.0, names=np.array(at.names), p_world=at.p_world_joint)
+    recording.save(tmp_path / "sensed")
+    command = ("reconstruct", tmp_path / "sensed", "--no-figures", "-o")
+    cli.ok(*command, tmp_path / "out", "--lift", given).says(
+        "lift joints.npz (the skeleton's own joints): in m (scale 1"
+    )
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["mode"], summary["inputs"]["lifts"]) == ("imu", ["joints.npz"])
+    done = cli.refused(*command, tmp_path / "no", "--lift", tmp_path / "a.mot")
+    assert "angles of a model that is not here; give the .trc of points beside it" in done.err
 
 
 def test_a_mistyped_choice_is_one_line_with_what_was_meant(cli: Any) -> None:

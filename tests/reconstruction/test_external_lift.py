@@ -15,7 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.reconstruction.external_lift import Agreement, _joints, _sigma, _spread_of_joints, external
+from rtof_kin.reconstruction.external_lift import Agreement, _sigma, external, mean_joints, spread_of_joints
 from rtof_kin.reconstruction.lift import Lifted, fused, lift
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
@@ -227,10 +227,10 @@ def test_a_joint_by_several_points_follows_those_whose_place_is_known_better() -
     off = np.zeros((1, 2, 3))
     off[0, 0, 0] = 0.1
     joints, spread = np.array([4, 4]), np.array([0.03, 0.01])
-    np.testing.assert_allclose(_joints(joints, spread, (1, 21, 3), off)[0, 4], [0.01, 0, 0])
-    np.testing.assert_allclose(_spread_of_joints(joints, spread, 21)[4], 1 / np.hypot(1 / 0.03, 1 / 0.01))
+    np.testing.assert_allclose(mean_joints(joints, spread, (1, 21, 3), off)[0, 4], [0.01, 0, 0])
+    np.testing.assert_allclose(spread_of_joints(joints, spread, 21)[4], 1 / np.hypot(1 / 0.03, 1 / 0.01))
     off[0, 1] = np.nan
-    np.testing.assert_allclose(_joints(joints, spread, (1, 21, 3), off)[0, 4], [0.1, 0, 0])
+    np.testing.assert_allclose(mean_joints(joints, spread, (1, 21, 3), off)[0, 4], [0.1, 0, 0])
 
 
 def test_names_of_no_known_convention_are_refused() -> None:

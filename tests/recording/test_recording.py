@@ -156,7 +156,7 @@ def full_recording() -> Recording:
     [
         ((), [MANIFEST, "imus.npz", "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
         (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", *LIFTS, INDEX]),
-        (("keypoints", "lifts"), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
+        (("keypoints",), [MANIFEST, "imus.npz", *LIFTS, INDEX, "truth.npz"]),
         (("imus",), [MANIFEST, "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
         (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", *LIFTS, INDEX, "truth.npz"]),
     ],

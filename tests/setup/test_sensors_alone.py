@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from inertial_support import Worn, walking
 from setup_support import write_sensors
@@ -61,10 +62,12 @@ def test_run_takes_sensors_alone_from_files_to_a_report(
 ) -> None:
     from rtof_kin.cli import main
 
-    out = tmp_path / "out"
+    out, names = tmp_path / "out", np.array(SkeletonModel.default().names)
+    np.savez(tmp_path / "nobody.npz", times=np.arange(300) / 60, names=names, p_world=np.zeros((300, len(names), 3)))
     line = ["run", *map(str, files), "--height", "1,72", "--no-figures", "-o", str(out)]
-    assert main(line) == 0
+    assert main([*line, "--lift", str(tmp_path / "nobody.npz")]) == 0
     assert (out / "report.html").is_file()
     summary: Any = json.loads((out / "motion" / "summary.json").read_text())
     assert summary["mode"] == "imu"
+    assert "nobody.npz is not used as a lift: it shows nobody: no frame has 8" in summary["warnings"][0]
     assert "overlay" not in capsys.readouterr().out
