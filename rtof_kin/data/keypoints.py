@@ -76,6 +76,16 @@ class KeypointSequence:
     def __getitem__(self, frames: slice) -> Self:
         return self.at(frames, self.uv_px[frames], self.confidence[frames])
 
+    def columns(self) -> dict[str, Array]:
+        """Return columns (T,) of a detector's table: times, and its own points, else landmarks."""
+        named = list(map(layout_and_point, self.names))
+        found = {"time": self.times}
+        for i, (layout, name) in enumerate(named):
+            if layout or not any(layout for layout, _ in named):
+                found |= {f"{name}_{axis}": self.uv_px[:, i, k] for k, axis in enumerate("xy")}
+                found[f"{name}_c"] = self.confidence[:, i]
+        return found
+
     def at(self, frames: Any, uv_px: Array, confidence: Array) -> Self:
         """Return some of the frames with other points; uv_px: (T', L, 2). confidence: (T', L)."""
         turning = None if self.turning is None else self.turning[frames]

@@ -57,7 +57,8 @@ class PersonPoints:
         """L names of the points."""
         self._follower = PersonFollower(image_px)
         self._scale = _scale(image_px, camera_px)
-        self._image_px = image_px
+        self.image_px = image_px
+        """Width and height of the images."""
         self._checked: deque[tuple[Array, Array]] | None = deque()
         self._chosen, self._ambiguous = 0, 32
         self.notices: deque[str] = deque()
@@ -116,7 +117,7 @@ class PersonPoints:
         points, sure = (np.concatenate(part) for part in zip(*self._checked, strict=True))
         self._checked = None
         seen = sure > 0
-        outside = np.any((points < 0) | (points > self._image_px), axis=-1)[seen]
+        outside = np.any((points < 0) | (points > self.image_px), axis=-1)[seen]
         if outside.mean() > MOST_OUTSIDE:
             self.notices.append(f"{100 * outside.mean():.0f} % of the points lie outside of the image")
         try:

@@ -240,6 +240,11 @@ class LiveSession:
                 self.monitor.estimated(estimate, seconds)
         return estimates
 
+    def record(self, recorder: Recorder) -> None:
+        """Record from now on; once."""
+        self._recorder = recorder
+        recorder.landmarks(self._landmarks)
+
     def _arrived(self, arrival: float) -> list[Arrived]:
         """Return what has come; samples whose numbers are of no use have no time."""
         polled = list(self._polled(arrival))
@@ -359,8 +364,8 @@ class LiveSession:
             return []
         if self._estimator.hurried > _HURRIED:
             text = (
-                "this machine is too slow for all frames: some are only predicted; choose a lower --rate, or "
-                "end other programs"
+                "this machine is too slow for all frames: some are only predicted; choose a lower rate, or end "
+                "other programs"
             )
             self._once("estimate", "slow", text, arrival)
         self._send(estimates, arrival)

@@ -72,6 +72,12 @@ def cameras_of(kind: str) -> list[str]:
         return []
 
 
+def cameras_here() -> dict[str, str]:
+    """Return the cameras of this machine as far as they are listed: number or device -> name."""
+    names = cameras_of(kind := _FORMATS.get(sys.platform, ""))
+    return {name if kind == "v4l2" else str(i): name for i, name in enumerate(names)}
+
+
 def open_webcam(camera: int | str, size_px: tuple[int, int] | None = None) -> tuple[Any, Any]:
     """Open a camera and return PyAV's container and video stream.
 
@@ -339,6 +345,8 @@ class VideoSource:
         self.name = f"camera {source}" if self.live else Path(str(source)).name
         """Name of the file, or number of the webcam."""
         self._replay, self.clock, self._now = replay or ReplayClock(), clock, now
+        self.keep: Callable[[Image], None] | None = None
+        """What keeps every image, in a thread; if it fails, the source stops, and keeps none when it goes on."""
         self.examination: Examination | None = None
         """What goes on in threads; None before `start`."""
         self._closed = False
@@ -387,7 +395,8 @@ class VideoSource:
                 raise SourceError(f"{error}") from error
             opened.pop_all()  # from here on the threads release them
         self._slow = self._closed = False
-        self.examination = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
+        images, replay = self._kept(images), None if self.live else self._replay
+        self.examination = Examination(images, first, detector, points, replay, self._now)
 
     def poll(self) -> list[Sample]:
         """Return the frames that were examined; without pace it waits for those of the clock's time.
@@ -433,6 +442,15 @@ class VideoSource:
             self.examination.close()
 
     # --- images ------------------------------------------------------------------------------------
+
+    def _kept(self, images: Images) -> Images:
+        with closing(images):
+            for image in images:
+                if (keep := self.keep) is not None:
+                    self.keep = None
+                    keep(image)
+                    self.keep = keep
+                yield image
 
     def _file(self) -> Images:
         seconds = read_video_metadata(str(self._source)).seconds

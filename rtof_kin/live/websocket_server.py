@@ -174,15 +174,16 @@ def live_page() -> str:
     return fill(frame, {"style": style, "script": script})
 
 
-def page_headers(host: str) -> dict[str, str]:
+def page_headers(host: str, ancestors: str = "'none'") -> dict[str, str]:
     """Return HTTP headers of the page: it may run its own script, and connect to its own server only.
 
-    `host`: of the server, ``HOST:PORT`` as the browser names it; checked by the caller.
+    `host`: of the server, ``HOST:PORT`` as the browser names it; checked by the caller. `ancestors`: pages that may
+    frame it, as a content security policy says it.
     """
     style, script = map(source_hash, _sources()[:2])
     policy = (
         f"default-src 'none'; script-src '{script}'; style-src '{style}'; img-src data:; "
-        f"connect-src ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        f"connect-src ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}"
     )
     return {
         "Content-Type": "text/html; charset=utf-8",

@@ -24,6 +24,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.arrays import write_csv
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import write_text
 from rtof_kin.data.camera import Camera
@@ -325,13 +326,8 @@ def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = 
     no keypoints; `OutputExistsError`: `folder` may not be replaced.
     """
     keypoints = recording.video
-    columns = {"time": keypoints.times}
-    for i, name in enumerate(keypoints.names):
-        columns |= {f"{name}_{axis}": keypoints.uv_px[:, i, k] for k, axis in enumerate("xy")}
-        columns[f"{name}_c"] = keypoints.confidence[:, i]
     with new_folder(folder, KEYPOINTS, overwrite) as fresh:
-        rows = np.stack(list(columns.values()), axis=1)
-        np.savetxt(fresh / KEYPOINTS, rows, "%.6g", ",", header=",".join(columns), comments="")
+        write_csv(fresh / KEYPOINTS, keypoints.columns())
         write_camera_toml(fresh / CAMERA, {"phone": keypoints.camera})
         if recording.imus is not None:
             _write_sensors(recording, fresh)

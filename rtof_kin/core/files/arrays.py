@@ -228,6 +228,13 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
         np.savez_compressed(stream, **contents)
 
 
+def write_csv(path: Path, columns: Mapping[str, Array], overwrite: bool = False) -> None:
+    """Write columns (T,) as a table with nine digits; errors as `core.files.folder.new_file`."""
+    with new_file(path, overwrite) as file:
+        rows = np.column_stack(list(columns.values()))
+        np.savetxt(file, rows, "%.9g", ",", header=",".join(columns), comments="", encoding="utf-8")
+
+
 def read_csv(path: Path) -> dict[str, Array]:
     """Return the columns of `csv_blocks` as a whole."""
     (columns,) = csv_blocks(path, sys.maxsize)
