@@ -98,3 +98,4 @@ class PeoplePages(Frame):
         with self.row():
             name = self.ui.input(TEXTS.recording).classes("w-64")
             self.button(TEXTS.add_recording, add, name)
+            self.button(TEXTS.record, lambda: self.ui.navigate.to(f"/record/{person}/{visit}"))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.app.people import PeoplePages
+from rtof_kin.app.record import RecordPages
 from rtof_kin.app.review import ReviewPages
 from rtof_kin.app.start import StartPages
 from rtof_kin.app.store import Store
@@ -119,7 +120,7 @@ def serve(
         nicegui.run.process_pool_start_method = "spawn"  # this process has threads
         app, work = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Work(store)
         try:
-            for pages in (PeoplePages, TakePages, ReviewPages, StartPages):
+            for pages in (PeoplePages, TakePages, ReviewPages, RecordPages, StartPages):
                 pages(nicegui, store, work, door.path.rstrip("/"))
             nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language=TEXTS.code, show_welcome_message=False)
             root = behind or f"http://{LOOPBACK}:{opening.getsockname()[1]}"

@@ -186,9 +186,10 @@ class Store:
         except (FileFormatError, ValidationError):
             return Take(state=verdict(folder) if (folder / PAGE).is_file() else State.DRAFT)
 
-    def change(self, folder: Path, **values: Any) -> Take:
+    @staticmethod
+    def change(folder: Path, **values: Any) -> Take:
         """Change the state of a recording and return it."""
-        take = self.take(folder).model_copy(update=values)
+        take = Store.take(folder).model_copy(update=values)
         write_text(folder / _TAKE, take.model_dump_json(indent=1) + "\n", overwrite=True)
         return take
 

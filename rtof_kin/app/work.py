@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -87,6 +87,7 @@ class Work:
         self._queue = sorted(left, key=lambda path: store.take(path).asked)
         for path in self._queue:
             store.change(path, state=State.WAITING)
+        self.others: list[Callable[[Path], bool]] = []  #: Whether others are at work in a folder
         self._thread = threading.Thread(target=self._run, name="reconstructions", daemon=True)
         self._thread.start()
 
@@ -123,7 +124,8 @@ class Work:
     def busy(self, folder: Path) -> bool:
         """Return whether something of a folder waits or runs."""
         with self._changed:
-            return any(one.is_relative_to(folder) for one in (*self._queue, *filter(None, [self._now])))
+            own = any(one.is_relative_to(folder) for one in (*self._queue, *filter(None, [self._now])))
+        return own or any(busy(folder) for busy in self.others)
 
     def close(self) -> None:
         """End; what runs or waits goes on with the next one."""

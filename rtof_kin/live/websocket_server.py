@@ -183,7 +183,7 @@ def page_headers(host: str, ancestors: str = "'none'") -> dict[str, str]:
     style, script = map(source_hash, _sources()[:2])
     policy = (
         f"default-src 'none'; script-src '{script}'; style-src '{style}'; img-src data:; "
-        f"connect-src ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}"
+        f"connect-src ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}"
     )
     return {
         "Content-Type": "text/html; charset=utf-8",

@@ -26,7 +26,18 @@ from rtof_kin.setup.sources import Sources
 pytest.importorskip("nicegui")
 browser = [needs_browser, pytest.mark.slow]
 DEMO = f"people/demo/{date.today().isoformat()}"
-PAGES = ("", "start", "trash", "people/demo", f"{DEMO}/exercises", f"{DEMO}/waits", f"{DEMO}/failed", f"{DEMO}/done")
+RECORD = f"record/demo/{date.today().isoformat()}"
+PAGES = (
+    "",
+    "start",
+    "trash",
+    "people/demo",
+    f"{DEMO}/exercises",
+    f"{DEMO}/waits",
+    f"{DEMO}/failed",
+    f"{DEMO}/done",
+    RECORD,
+)
 """Addresses of all pages; another page is another line."""
 MODELS = """
 import sys

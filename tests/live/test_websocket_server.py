@@ -180,7 +180,7 @@ def test_page_runs_its_own_script_only_and_needs_no_other_server(server: WebSock
     assert response.status == 200
     assert "unsafe" not in policy
     assert policy.startswith("default-src 'none'; script-src 'sha256-")
-    assert f"connect-src ws://{address.netloc};" in policy
+    assert f"connect-src ws://{address.netloc} wss://{address.netloc};" in policy
     assert response.headers["Cache-Control"] == "no-store"
     page = Page(html)
     assert page.wrong == []

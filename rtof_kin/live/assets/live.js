@@ -191,7 +191,7 @@ function show_connection(state) {
   }
 
   function connect() {
-    const socket = new WebSocket(`ws://${location.host}${location.pathname}`);
+    const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}${location.pathname}`);
     socket.onopen = () => { connected = true; wait = 250; };
     socket.onmessage = event => {
       const found = JSON.parse(event.data);
