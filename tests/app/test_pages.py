@@ -28,15 +28,8 @@ browser = [needs_browser, pytest.mark.slow]
 DEMO = f"people/demo/{date.today().isoformat()}"
 RECORD = f"record/demo/{date.today().isoformat()}"
 PAGES = (
-    "",
-    "start",
-    "trash",
-    "people/demo",
-    f"{DEMO}/exercises",
-    f"{DEMO}/waits",
-    f"{DEMO}/failed",
-    f"{DEMO}/done",
-    RECORD,
+    *("", "start", "trash", "people/demo", RECORD),
+    *(f"{DEMO}/{name}" for name in ("exercises", "waits", "failed", "done")),
 )
 """Addresses of all pages; another page is another line."""
 MODELS = """

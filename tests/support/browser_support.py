@@ -128,6 +128,8 @@ class BrowserPage:
         while True:
             found = json.loads(self._socket.recv(timeout=30))
             if found.get("id") == self._number:
+                if "Inspected target navigated" in str(found.get("error")):  # meanwhile: asked of the page that follows
+                    return self.call(method, **parameters)
                 assert "error" not in found, found
                 return found["result"]
             self._event(found.get("method", ""), found.get("params", {}))
