@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+import threading
 from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
-from rtof_kin.app.store import State, Store
+from rtof_kin.app.store import NOTES, State, Store
 from rtof_kin.app.texts import TEXTS, languages, speak, worded
 from rtof_kin.app.work import Work
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs.processes import end_with_parent
+from rtof_kin.core.packages import optional
 
 Show = Callable[[], None]
+SANDBOX: Final = "allow-scripts allow-downloads allow-modals"
+"""What a page that was made may do: run its own script, and reach nothing of the application."""
 _COLOURS: Final = {
     State.DRAFT: "grey-8",
     State.WAITING: "blue-9",
@@ -60,6 +71,8 @@ _STYLE: Final = """
 
 class Frame:
     """The pages of one kind: a frame around each, and the pieces that they are made of."""
+
+    making: ClassVar[list[Path]] = []  #: Folders of which something is being made
 
     def __init__(self, nicegui: Any, store: Store, work: Work, prefix: str):
         """`nicegui`: the package. `prefix`: path under which the pages are served."""
@@ -141,6 +154,18 @@ class Frame:
             said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
             self.ui.notify(worded(said), type="negative", multi_line=True, timeout=10_000)
 
+    def answer(self, find: Callable[..., Path], *names: str) -> Any:
+        """Return a page that was made as an answer, or why there is none."""
+        answers = optional("starlette.responses", "app")
+        try:
+            path = find(*names)
+        except RtofError as error:
+            return answers.PlainTextResponse(str(error), 404)
+        if not path.is_file() or path.is_symlink():
+            return answers.PlainTextResponse(TEXTS.no_file, 404)
+        policy = f"sandbox {SANDBOX} allow-popups; frame-ancestors 'self'"
+        return answers.FileResponse(path, headers={"content-security-policy": policy, "cache-control": "no-store"})
+
     def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> Any:
         """A button, which is returned; Enter in one of the fields presses it too."""
         button = self.ui.button(text, on_click=lambda: self.tried(action)).props(f"no-caps {props}")
@@ -157,13 +182,67 @@ class Frame:
         """A button that moves a person, a visit or a recording to the trash."""
 
         def delete() -> None:
-            if self.work.busy(self.store.path(*names)):
-                raise RtofError(TEXTS.at_work)
+            self.check_idle(*names)
             self.store.delete(*names)
             self.ui.notify(TEXTS.deleted.format(name=names[-1]))
             show()
 
         self.icon("delete", TEXTS.delete.format(name=names[-1]), delete)
+
+    def check_idle(self, *names: str) -> None:
+        """Raise `RtofError` while something is made of a person, a visit or a recording."""
+        folder = self.store.path(*names)
+        if self.work.busy(folder) or any(one.is_relative_to(folder) or one in folder.parents for one in self.making):
+            raise RtofError(TEXTS.at_work)
+
+    def notes(self, *names: str) -> None:
+        """The notes of a visit or a recording, which are saved as they are typed."""
+        path = self.store.path(*names) / NOTES
+
+        def read() -> str:
+            return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+        def save() -> None:
+            if (typed := field.value or "") != seen[0]:
+                self.store.path(*names)  # still there
+                seen[0] = typed
+                write_text(path, typed, overwrite=True)
+
+        def look() -> None:
+            if (found := read()) != seen[0]:  # typed in another window
+                seen[0] = field.value = found
+
+        seen = [read()]
+        field = self.ui.textarea(TEXTS.notes.format(name=names[-1]), value=seen[0]).classes("w-full")
+        field.props("autogrow outlined rows=1 debounce=400").on_value_change(lambda: self.tried(save))
+        self.ui.timer(EVERY, look)
+
+    async def made(self, folder: Path, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Let another process call a function, which makes something of a folder; `RtofError` where it cannot."""
+        if folder in self.making:
+            raise RtofError(TEXTS.at_work)
+        self.making.append(folder)
+        try:
+            found, said = await self.run.cpu_bound(_called, TEXTS.code, function, *arguments) or (None, "")
+        except BrokenExecutor as error:
+            raise RtofError(TEXTS.lost.format(how=error)) from error
+        finally:
+            self.making.remove(folder)
+        if said:
+            raise RtofError(said.replace(f"{folder}/", ""))
+        return found
+
+    async def download(self, name: str, folder: Path, write: Callable[..., Any], *arguments: Any) -> Any:
+        """Let another process write a file, whose path is its last argument, and give it to the browser."""
+        new = Path(tempfile.mkdtemp())  # in the workspace, see `serve`
+        self.ui.context.client.on_delete(lambda: shutil.rmtree(new, ignore_errors=True))
+        told = self.ui.notification(TEXTS.making.format(name=name), spinner=True, timeout=None)
+        try:
+            found = await self.made(folder, write, *arguments, new / name)
+        finally:
+            told.dismiss()
+        self.ui.download.file(new / name, name)
+        return found
 
     def heading(self, text: str, level: int) -> None:
         """A heading of a level."""
@@ -184,8 +263,13 @@ class Frame:
 
     def chip(self, folder: Path) -> None:
         """The state of a recording."""
-        state = self.store.take(folder).state
-        self.ui.badge(dict(TEXTS.states)[state.value], color=_COLOURS[state]).classes("text-sm p-1")
+        self.badge(self.store.take(folder).state)
+
+    def badge(self, state: State, count: int = 0) -> None:
+        """A state, maybe of so many recordings."""
+        text = TEXTS.counted if count else "{state}"
+        said = text.format(count=count, state=dict(TEXTS.states)[state.value])
+        self.ui.badge(said, color=_COLOURS[state]).classes("text-sm p-1")
 
     def height(self, person: str) -> str:
         """Return what is known of the height of a person."""
@@ -194,3 +278,23 @@ class Frame:
         except RtofError as error:
             return str(error)
         return "" if known is None else TEXTS.of_height.format(height=100 * known.value)
+
+
+@cache
+def _end_with_parent() -> None:
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def _called(code: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
+    """Return what a function returns, and what went wrong; in a process of its own."""
+    _end_with_parent()
+    speak(code)
+    try:
+        with without_warnings("rtof_kin"):
+            return function(*arguments), ""
+    except RtofError as error:
+        return None, str(error)
+    except OSError as error:
+        return None, TEXTS.not_written.format(error=error.strerror)
+    except Exception as error:
+        return None, f"{type(error).__name__}: {error}"

@@ -17,6 +17,7 @@ from rtof_kin.app.record import RecordPages
 from rtof_kin.app.review import ReviewPages
 from rtof_kin.app.start import StartPages
 from rtof_kin.app.store import Store
+from rtof_kin.app.studies import StudyPages
 from rtof_kin.app.take import TakePages
 from rtof_kin.app.texts import TEXTS, speak
 from rtof_kin.app.work import Work
@@ -120,7 +121,7 @@ def serve(
         nicegui.run.process_pool_start_method = "spawn"  # this process has threads
         app, work = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None), Work(store)
         try:
-            for pages in (PeoplePages, TakePages, ReviewPages, RecordPages, StartPages):
+            for pages in (PeoplePages, StudyPages, TakePages, ReviewPages, RecordPages, StartPages):
                 pages(nicegui, store, work, door.path.rstrip("/"))
             nicegui.ui.run_with(app, title=TEXTS.title, dark=None, language=TEXTS.code, show_welcome_message=False)
             root = behind or f"http://{LOOPBACK}:{opening.getsockname()[1]}"

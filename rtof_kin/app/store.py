@@ -9,6 +9,8 @@
                 walk/               a recording: what `rtof-kin run files/* -o walk` writes
                     files/          as they were dropped; a detector's files of single frames in a folder of their own
                     take.json       state, and what the files do not say; written anew where it is missing
+                    notes.txt       also of a visit
+            comparisons/, plans/    what was compared, and planned, with its page
         .trash/ID/                  what was deleted, and the place where it was
         .settings.json              `Settings`
 """
@@ -43,6 +45,8 @@ from rtof_kin.setup.settings import SecondCamera, SetupSettings
 from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 FILES: Final = "files"
+NOTES: Final = "notes.txt"
+MADE: Final = ("comparisons", "plans")  #: Folders of a person that are no visits
 SUBJECT: Final = "subject.toml"
 _TAKE, _TRASH, _ITEM, _ORIGIN, _SETTINGS = "take.json", ".trash", "item", "origin.txt", ".settings.json"
 _NAME: Final = re.compile(r"\w[\w-]{0,63}")
@@ -123,7 +127,7 @@ class Store:
 
     def path(self, *names: str) -> Path:
         """Return the folder of a person, of a visit or of a recording, which is there."""
-        path = self._place(*names)
+        path = self.place(*names)
         if not path.is_dir():
             raise InvalidInputError(TEXTS.not_there.format(kind=TEXTS.levels[len(names) - 1], name=names[-1]))
         return path
@@ -131,7 +135,7 @@ class Store:
     def names(self, *above: str) -> list[str]:
         """Return the people, the visits of a person (the latest first), or the recordings of a visit."""
         folder = self.path(*above) if above else self.root
-        found = [one.name for one in folder.iterdir() if one.is_dir() and not one.is_symlink() and _is_name(one.name)]
+        found = [one.name for one in folder.iterdir() if one.is_dir() and not one.is_symlink() and is_name(one.name)]
         return sorted(found, key=str.casefold, reverse=len(above) == 1)
 
     def takes(self, *people: str) -> list[Path]:
@@ -141,7 +145,7 @@ class Store:
 
     def add_person(self, person: str, height: float | None) -> None:
         """Make a person. `height`: standing, m; every length follows it."""
-        path, known = self._place(person), {"subject": person, "height_m": {"value": _height(height)}}
+        path, known = self.place(person), {"subject": person, "height_m": {"value": _height(height)}}
         self._make(path)
         try:
             write_subject(path / SUBJECT, Subject.of(known, path / SUBJECT))
@@ -166,12 +170,12 @@ class Store:
         except ValueError as error:
             raise InvalidInputError(TEXTS.no_day.format(day=day)) from error
         self.path(person)
-        self._make(self._place(person, name))
+        self._make(self.place(person, name))
 
     def add_take(self, person: str, visit: str, name: str) -> Path:
         """Make a recording without files and return its folder."""
         self.path(person, visit)
-        path = self._place(person, visit, name)
+        path = self.place(person, visit, name)
         self._make(path)
         make_folders(path / FILES)
         return path
@@ -226,8 +230,7 @@ class Store:
 
     def new_file(self, folder: Path, name: str) -> Path:
         """Return where a file that is dropped goes; refuses hostile names and one that is there."""
-        long = len(name.encode(errors="replace")) > _LONGEST
-        if long or not name.isprintable() or _NO_FILE.search(name) or not name or _RESERVED.fullmatch(name):
+        if not is_file_name(name):
             raise InvalidInputError(TEXTS.bad_file_name.format(name=repr(name[:60])))
         make_folders(folder / FILES)
         frame = _FRAME.fullmatch(name)
@@ -304,17 +307,17 @@ class Store:
             raise InvalidInputError(TEXTS.not_in_trash)
         if names[:-1]:
             self.path(*names[:-1])
-        place = self._place(*names)
+        place = self.place(*names)
         if place.exists():
             raise OutputExistsError(TEXTS.exists.format(name=names[-1]))
         (self.root / _TRASH / key / _ITEM).rename(place)
         shutil.rmtree(self.root / _TRASH / key)
 
-    def _place(self, *names: str) -> Path:
+    def place(self, *names: str) -> Path:
         """Return where something is, or would be; no name leads out of the workspace."""
         path = self.root
         for name in names:
-            if not _is_name(name):
+            if not is_name(name):
                 raise InvalidInputError(TEXTS.bad_name.format(name=repr(name[:60])))
             path /= name
             if path.is_symlink():
@@ -348,5 +351,13 @@ def _height(height: float | None) -> float:
     return round(height, 3)
 
 
-def _is_name(name: str) -> bool:
-    return _NAME.fullmatch(name) is not None and _RESERVED.fullmatch(name) is None
+def is_name(name: str) -> bool:
+    """Return whether a person, a visit or a recording may have a name."""
+    free = _RESERVED.fullmatch(name) is None and name.casefold() not in MADE
+    return free and _NAME.fullmatch(name) is not None
+
+
+def is_file_name(name: str) -> bool:
+    """Return whether a file may have a name, on every system."""
+    long = len(name.encode(errors="replace")) > _LONGEST
+    return name.isprintable() and not (long or not name or _NO_FILE.search(name) or _RESERVED.fullmatch(name))

@@ -6,17 +6,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from rtof_kin.app.frame import EVERY, Frame, Show
+from rtof_kin.app.downloads import downloads
+from rtof_kin.app.frame import EVERY, SANDBOX, Frame, Show
 from rtof_kin.app.sources import PICTURES, SourceParts
 from rtof_kin.app.store import AT_WORK, State
 from rtof_kin.app.texts import TEXTS, worded
 from rtof_kin.app.work import REPORT
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.packages import optional
 from rtof_kin.reporting.page import PAGE
 
-_SANDBOX: Final = "allow-scripts allow-downloads allow-modals"
-"""What the report may do: run its own script, and reach nothing of the application."""
 _RESULTS: Final = {PAGE: PAGE, **PICTURES}  #: Files that are shown, and where they are
 
 
@@ -40,19 +38,11 @@ class TakePages(Frame):
             folder = self.store.path(person, visit, name)
             SourceParts(self, folder)
             self.shown(look, lambda show: self._reconstruction(folder, show), lambda _: self._result(folder))
+            self.notes(person, visit, name)
 
     def file(self, person: str, visit: str, name: str, file: str) -> Any:
         """Return the report of a recording, or the picture of the people in it."""
-        answers = optional("starlette.responses", "app")
-        try:
-            path = self.store.path(person, visit, name) / _RESULTS.get(file, "-")
-        except RtofError as error:
-            return answers.PlainTextResponse(str(error), 404)
-        if not path.is_file() or path.is_symlink():
-            return answers.PlainTextResponse(TEXTS.no_file, 404)
-        policy = f"sandbox {_SANDBOX} allow-popups; frame-ancestors 'self'"
-        headers = {"content-security-policy": policy, "cache-control": "no-store"}
-        return answers.FileResponse(path, headers=headers)
+        return self.answer(lambda: self.store.path(person, visit, name) / _RESULTS.get(file, "-"))
 
     def _reconstruction(self, folder: Path, show: Show) -> None:
         ui, take = self.ui, self.store.take(folder)
@@ -119,7 +109,8 @@ class TakePages(Frame):
         with self.row().classes("gap-8"):
             ui.link(TEXTS.to_review, "/".join(("/people", *folder.relative_to(self.store.root).parts, "review")))
             ui.link(TEXTS.report, address, new_tab=True)
-        ui.element("iframe").props(f'src="{self.prefix}{address}" title="{TEXTS.result}" sandbox="{_SANDBOX}"')
+        ui.element("iframe").props(f'src="{self.prefix}{address}" title="{TEXTS.result}" sandbox="{SANDBOX}"')
+        downloads(self, folder)
 
 
 def _time(seconds: float) -> str:

@@ -55,7 +55,7 @@ class Texts:
     # trash
     delete: str = "Move {name} to the trash"
     deleted: str = "{name} is in the trash"
-    at_work: str = "A reconstruction or a recording is running here; end it first"
+    at_work: str = "Something is being made of this; wait, or cancel it first"
     trash: str = "Trash"
     empty_trash: str = "The trash is empty."
     restore: str = "Take {name} back"
@@ -94,6 +94,45 @@ class Texts:
         ("no_event right", "No step of the right foot here"),
         ("repetition squat", "This is one squat"),
         ("repetition sit_to_stand", "This is one rise from a seat"),
+    )
+    # notes, archives, downloads and what is made
+    notes: str = "Notes on {name}"
+    counted: str = "{state}: {count}"
+    export: str = "Export as one archive"
+    with_videos: str = "with videos; links and hidden files are never in it"
+    left_out: str = "Left out: {names}"
+    take_archive: str = "Drop the archive of a person here, or press +"
+    no_archive: str = "This is no archive of a person, or it is damaged"
+    large_archive: str = "This archive would become {size:.1f} GB: too much for its size, or for the disk"
+    bad_member: str = "This archive is not taken: {name} in it could do harm, or is there twice"
+    making: str = "{name} is being made"
+    being_made: str = "This is being made; the page may be closed meanwhile"
+    delete_made: str = "Delete {name} for good; it can be made again"
+    downloads: str = "In other formats, made when you ask for them:"
+    long_for_xlsx: str = "This recording is too long for a workbook; take the CSV"
+    no_browser: str = (
+        "No Chrome, Chromium or Edge is found here; open the report in a new tab and print it there as PDF"
+    )
+    not_printed: str = "The browser did not print the report; open it in a new tab and print it there as PDF"
+    # comparisons and plans
+    compare: str = "Compare"
+    nothing_to_compare: str = "No recording has a result yet"
+    baseline: str = "First visit"
+    compare_visits: str = "Compare all visits"
+    recording_a: str = "Recording"
+    recording_b: str = "Compared with"
+    sides: str = "itself: left and right"
+    plan: str = "Plan a session"
+    movement: str = "What is to be recorded"
+    as_in: str = "as in {name}"
+    sensors: str = "Sensors at hand"
+    search: str = "Compare places of the camera and further sensors: some minutes instead of half a minute"
+    make_plan: str = "Make the plan"
+    pages: tuple[tuple[str, str], ...] = (
+        ("follow.html", "Visits compared, in a new tab"),
+        ("comparison.html", "Comparison, in a new tab"),
+        ("plan.html", "What to expect, in a new tab"),
+        ("instructions.html", "Page for the operator, to print"),
     )
     # a recording
     files: str = "1. Files"
@@ -272,6 +311,7 @@ class Texts:
     )
     """Segments that carry sensors, each with its name."""
     options: tuple[tuple[str, str], ...] = (
+        (r"^(compare|follow|plan): | \(--by\)", ""),
         (r"(add|give)( e\.g\.)? --height( [\d.]+( \(m\))?)?", "give it on the person's page"),
         (r"--height ", "height "),
         (r"choose( one with)? --person", "choose --person"),

@@ -1,7 +1,7 @@
 """A plan as a document: what to expect, what is not identifiable and why, and what to do about it.
 
-``plan.csv`` has a row for each angle, ``plan.json`` everything, ``plan.png`` the figure; ``instructions.html`` is the
-operator's page.
+``plan.csv`` has a row for each angle, ``plan.json`` everything, ``plan.png`` the figure, ``plan.html`` what to read of
+these; ``instructions.html`` is the operator's page.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rtof_kin.plan.plan import SEEN, Option, Plan
 from rtof_kin.plan.prediction import ENOUGH, UNITS
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Document, Figure, Table, write_files
+from rtof_kin.reporting.document import Badge, Document, Figure, Section, Table, write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -87,13 +87,15 @@ def document(plan: Plan) -> Document:
         "sensors": [_option(option) for option in plan.sensors if option.name],
         "calibration": calibration,
     }
+    figure = Figure("plan", "Expected errors by angle, camera places, further sensors", lambda: plan_figure(plan))
     return Document(
         "plan",
         f"Plan of {Path(plan.protocol.movement).name.replace('_', ' ')}",
         headline(plan),
         cautions=cautions(plan),
         printed=[_printed(plan), *advice(plan)],
-        figures=[Figure("plan", "Expected errors by angle, camera places, further sensors", lambda: plan_figure(plan))],
+        sections=[Section("angles", "What to expect", [advice(plan), _printed(plan), figure])],
+        figures=[figure],
         tables={"plan.csv": Table(COLUMNS, [list(row.values()) for row in rows])},
         facts=facts,
     )

@@ -155,7 +155,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         torques=torque_tables(analysis.torques, motion.skeleton.table),
         why_no_torques=f"{NO_WEIGHT.capitalize()}.",
         notes=plain_words(str(inputs.get("notes") or ""), words).strip().splitlines(),
-        recording=_recording(motion, summary, session, made),
+        recording=recording_facts(motion, summary, session, made),
         camera=_estimates(inputs.get("camera_estimate")),
         calibration=_estimates(inputs.get("calibration")),
         grades={what: badge(grade) for what, grade in grades.items()},
@@ -331,7 +331,7 @@ def torque_tables(torques: JointTorques | None, skeleton: SkeletonTable) -> list
 # --- recording and quality -----------------------------------------------------------------------
 
 
-def _recording(motion: MotionSource, summary: Summary, session: Session, made: str) -> dict[str, str]:
+def recording_facts(motion: MotionSource, summary: Summary, session: Session, made: str) -> dict[str, str]:
     """Return what was recorded, with what, and how the motion was computed."""
     times, inputs, subject = motion.times, summary.inputs, summary.subject
     height = f"{subject['height_m']:g} m" if subject.get("height_m") else "height not given"

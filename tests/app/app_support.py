@@ -53,7 +53,7 @@ class Window(BrowserPage):
 
     def fill(self, label: str, text: str) -> None:
         """Type into the input of a label, by the keyboard."""
-        found = f"document.querySelector('input[aria-label={json.dumps(label)}]')"
+        found = f"document.querySelector(':is(input, textarea)[aria-label={json.dumps(label)}]')"
         self.until(f"{found} !== null && window.socket?.connected && window.did_handshake")
         self.value(f"(one => (one.focus(), one.select()))({found})")
         self.call("Input.insertText", text=text)

@@ -28,7 +28,7 @@ browser = [needs_browser, pytest.mark.slow]
 DEMO = f"people/demo/{date.today().isoformat()}"
 RECORD = f"record/demo/{date.today().isoformat()}"
 PAGES = (
-    *("", "start", "trash", "people/demo", RECORD),
+    *("", "start", "trash", "people/demo", "people/demo/comparisons", "people/demo/plans", RECORD),
     *(f"{DEMO}/{name}" for name in ("exercises", "waits", "failed", "done")),
 )
 """Addresses of all pages; another page is another line."""
