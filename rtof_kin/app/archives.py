@@ -11,6 +11,7 @@ from typing import Final
 
 from rtof_kin.app.store import AT_WORK, MADE, State, Store, is_file_name, is_name
 from rtof_kin.app.texts import TEXTS
+from rtof_kin.app.work import REVIEW
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.files.manifest import MANIFEST, make_private
@@ -79,4 +80,6 @@ def _is_taken(name: str, folder: bool) -> bool:
     """Return whether the store has files or folders of a name, from the person on."""
     person, *parts = name.split("/")
     named = () if parts[:1] and parts[0] in MADE else parts[:2] if folder or len(parts) > 2 else parts[:-1]
-    return all(map(is_name, (person, *named))) and all(part == MANIFEST or is_file_name(part) for part in parts)
+    own = REVIEW.casefold() in map(str.casefold, parts)  # reaches the application, and is made again
+    files = all(part == MANIFEST or is_file_name(part) for part in parts)
+    return all(map(is_name, (person, *named))) and files and not own

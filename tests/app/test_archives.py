@@ -92,6 +92,7 @@ HOSTILE = {
     "P07/2026-01-31/walk/files/con.txt": "could do harm",
     "P07/2026-01-31/walk/files/a\\b": "could do harm",
     "P07/2026-01-31/walk//x": "could do harm",
+    "P07/2026-01-31/walk/Review.html": "could do harm",  # its script would reach the application
 }
 
 
