@@ -74,7 +74,7 @@ GERMAN: Final = Texts(
     movement="Was gemessen werden soll",
     as_in="wie in {name}",
     sensors="Vorhandene Sensoren",
-    search="Kameraplätze und weitere Sensoren vergleichen: einige Minuten statt einer halben",
+    plan_search="Kameraplätze und weitere Sensoren vergleichen: einige Minuten statt einer halben",
     make_plan="Plan erstellen",
     pages=(
         ("follow.html", "Besuche im Vergleich, in neuem Tab"),

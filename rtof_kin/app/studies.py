@@ -67,7 +67,7 @@ class StudyPages(Frame):
             said = self.ui.label()
             said.bind_text_from(what, "value", lambda name: MOVEMENTS[name].description if name in MOVEMENTS else "")
             worn = self._choice(TEXTS.sensors, {n: f"{n}: {at}" for n, at in places.items()}, [], multiple=True)
-            search = self.ui.switch(TEXTS.search, value=True)
+            search = self.ui.switch(TEXTS.plan_search, value=True)
 
             def ask() -> Any:
                 protocol = Protocol(what.value, sensors=tuple(worn.value), any_camera=True)

@@ -126,7 +126,7 @@ class Texts:
     movement: str = "What is to be recorded"
     as_in: str = "as in {name}"
     sensors: str = "Sensors at hand"
-    search: str = "Compare places of the camera and further sensors: some minutes instead of half a minute"
+    plan_search: str = "Compare places of the camera and further sensors: some minutes instead of half a minute"
     make_plan: str = "Make the plan"
     pages: tuple[tuple[str, str], ...] = (
         ("follow.html", "Visits compared, in a new tab"),

@@ -159,7 +159,7 @@ def test_a_replay_and_sensors_over_lsl_are_recorded_though_the_window_is_closed(
         until(lambda: chunks(take) > 2)
         window.open(f"{server.address}people/P07")
         window.click("Move walk to the trash")
-        window.says("A reconstruction or a recording is running here")
+        window.says("Something is being made of this")
         window.click("Record live")
         window.click("Stop")
         window.says("walk is recorded")
