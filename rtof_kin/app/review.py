@@ -66,7 +66,8 @@ class ReviewPages(Frame):
             return answers.PlainTextResponse(str(error), 404)
         if path is None or not path.is_file() or path.is_symlink():
             return answers.PlainTextResponse(TEXTS.no_file, 404)
-        return answers.FileResponse(path, headers={"cache-control": "no-store"})
+        kind = {"media_type": "video/mp4"} if file == VIDEO else {}  # whatever its name says
+        return answers.FileResponse(path, headers={"cache-control": "no-store"}, **kind)
 
     def _made(self, folder: Path, show: Show) -> None:
         """List the corrections, each of which can be taken back, and offer to solve again."""
