@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,6 +14,7 @@ from rtof_kin.app.texts import TEXTS, worded
 from rtof_kin.body.motion_file import file_in
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.manifest import remove_written
 from rtof_kin.plan.document import write_plan
 from rtof_kin.plan.movements import MOVEMENTS
 from rtof_kin.plan.plan import plan
@@ -115,9 +115,8 @@ class StudyPages(Frame):
                     ui.label(folder.name.replace("_", " ")).classes("text-lg")
                     for file in pages:
                         ui.link(dict(TEXTS.pages)[file], f"{address}/{file}", new_tab=True)
-                    self.icon(
-                        "delete", TEXTS.delete_made.format(name=folder.name), lambda one=folder: shutil.rmtree(one)
-                    )
+                    said = TEXTS.delete_made.format(name=folder.name)
+                    self.icon("delete", said, lambda one=folder: remove_written(one))
                 if number == 0 and pages:
                     source = f'src="{self.prefix}{address}/{pages[0]}" title="{dict(TEXTS.pages)[pages[0]]}"'
                     ui.element("iframe").props(f'{source} sandbox="{SANDBOX}"')
