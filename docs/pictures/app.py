@@ -27,7 +27,7 @@ PAGES: Final = (
     ("running", RUNNING, "DEMO", "from image to space"),
     ("result", DONE, "DEMO", "3. Result"),
     ("review", DONE, "DEMO/review", "Add"),
-    ("compare", DONE, "people/demo/comparisons", "Sides"),
+    ("compare", DONE, "people/demo/comparisons", "Compare"),
     ("plan", DONE, "people/demo/plans", "Make the plan"),
     ("record", DONE, "record/P07/2026-02-14", "Start"),
     ("people", DONE, "", "P12"),
