@@ -3,7 +3,6 @@
 * accuracy: error at lags from 0 to 1 s on the harness's motions, beside batch and a frame-by-frame baseline.
 * speed: milliseconds a frame and memory over ten minutes on one core.
 * soak: an hour with faults.
-* dropped: a camera that is off for a while, and a video that is late.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from types import ModuleType
 from typing import Any
 
 from benchmarks import harness
-from benchmarks.online import accuracy, dropped, figure, soak, speed
+from benchmarks.online import accuracy, figure, soak, speed
 
-STUDIES: dict[str, ModuleType] = {"accuracy": accuracy, "dropped": dropped, "soak": soak, "speed": speed}
+STUDIES: dict[str, ModuleType] = {"accuracy": accuracy, "soak": soak, "speed": speed}
 
 
 def main(arguments: list[str] | None = None) -> int:

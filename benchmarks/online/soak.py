@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness
-from benchmarks.lifter_speed import host
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording, truth_of
-from benchmarks.online.speed import Spent, Work, in_own_process, memory_table, row_of, timed, times_table
+from benchmarks.online.speed import Spent, Work, host, in_own_process, memory_table, row_of, timed, times_table
 from benchmarks.online.streams import Interval, frozen, replayed, setup_of
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core.array_types import Array, Mask

@@ -11,7 +11,9 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import platform
 import time
+import timeit
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,14 +24,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from benchmarks import harness
-from benchmarks.lifter_speed import host
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording
 from benchmarks.online.streams import portions, setup_of
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.jobs.memory import resident_memory
 from rtof_kin.live.samples import OnlineEstimate, Sample
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
@@ -70,10 +73,22 @@ class Spent:
     """(N, J, 3) m."""
 
 
-def resident_mb() -> float:
-    """Resident memory of this process, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+def host() -> dict[str, Any]:
+    """Description of the machine, with the best speed of the lifter's first matrix product, 10^9 operations a second."""
+    model = platform.processor()
+    if Path("/proc/cpuinfo").exists():
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
+    x, w = torch.randn(576, 474), torch.randn(474, 256)
+    best = min(timeit.repeat(lambda: x @ w, timer=time.process_time, number=20, repeat=30))
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "load_before": [round(load, 1) for load in os.getloadavg()],
+        "matrix_product_gflops": round(2 * 20 * 576 * 474 * 256 / best / 1e9),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
 
 
 def timed(recording: Recording, work: Iterable[tuple[float, Work]]) -> Spent:
@@ -95,7 +110,7 @@ def timed(recording: Recording, work: Iterable[tuple[float, Work]]) -> Spent:
             times[found], p[found] = one.poses.times[0], one.poses.p_world_joint[0]
             found += 1
         if look < len(looks) and now >= looks[look]:
-            memory[look] = resident_mb()
+            memory[look] = resident_memory(os.getpid()) / 1e6
             look += 1
     clocks, processors = 1e3 * spent
     return Spent(clocks, processors, looks[:look], memory[:look], times[:found], p[:found])

@@ -103,7 +103,6 @@ def test_half_of_the_motions_are_not_walking() -> None:
         "hinge_zero",
         "inertial_only",
         "lifter",
-        "lifter_speed",
         "mounting",
         "planted",
         "scale",

@@ -10,7 +10,7 @@ import numpy as np
 import planted
 import pytest
 
-from benchmarks.online import accuracy, dropped, figure, recordings, soak, speed
+from benchmarks.online import accuracy, figure, recordings, soak, speed
 from benchmarks.online.running import tracks
 from benchmarks.online.speed import Spent, drift_mb_per_hour
 from benchmarks.online.streams import frozen, portions, setup_of
@@ -85,7 +85,7 @@ def recording(job: recordings.Job) -> Recording:
 @pytest.fixture
 def stand_in(monkeypatch: pytest.MonkeyPatch, recording: Recording) -> None:
     truth = recordings.truth_of(recording)
-    for module in (accuracy, dropped, soak, speed):
+    for module in (accuracy, soak, speed):
         monkeypatch.setattr(module, "estimator", lambda setup, names, own: StandIn(truth, own))
         monkeypatch.setattr(module, "settings", Settings)
 
@@ -203,19 +203,6 @@ def test_a_slow_frame_is_counted() -> None:
     assert found["ms"]["processor"]["max"] == 200.0
     assert found["above_10_ms"]["clock"] == pytest.approx(0.01)
     assert found["counts"][-1] == 1
-
-
-@pytest.mark.usefixtures("stand_in")
-def test_poses_sink_while_the_camera_is_off_and_recover(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    loss = float(recording.video.times[0]) + 0.5
-    usual = dropped._newest(recording)
-    without = dropped._newest(recording, Faults(dead=((VIDEO, loss, loss + 0.8),)))
-    monkeypatch.setattr(dropped, "SINCE", (0.0, 0.4, 0.8))
-    early, late = dropped.since_loss(without, recording, loss)
-    assert late["drift_mm"] - early["drift_mm"] == pytest.approx(40.0, abs=7.0)
-    assert early["rr_mm"] == pytest.approx(0.0, abs=1e-6)
-    assert 0.0 <= dropped.recovery(usual, without, loss + 0.8) < 0.3
-    assert np.isnan(dropped.recovery(usual, without.with_poses(slice(None), without.p_world_joint + 1), loss))
 
 
 @pytest.mark.usefixtures("stand_in")
