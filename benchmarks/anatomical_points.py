@@ -10,17 +10,16 @@ another detector. *Half the errors*: half of that displacement and of the errors
 
 from __future__ import annotations
 
-import argparse
 import sys
 import zlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks import harness, scoring
+from benchmarks.command_line import study_parser
 from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.detector_errors import DetectorErrors
@@ -83,12 +82,10 @@ def table(found: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks anatomical_points", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("anatomical_points", __doc__, page="{}.md")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "anatomical_points.md")
     options = parser.parse_args(arguments)
     jobs = list(enumerate(harness.test_clips(options.corpus)))
     with ProcessPoolExecutor(options.workers) as pool:
@@ -97,8 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = f"# Anatomical points\n\n{about}\n{table(found)}"
     options.out.write_text(text, encoding="utf-8")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

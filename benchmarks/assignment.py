@@ -10,8 +10,6 @@ DIR`` adds real recordings, sensors alone.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tomllib
 import zlib
 from collections.abc import Iterator
@@ -23,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from benchmarks.harness import SENSOR_SETS, mocap_people, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
@@ -316,14 +315,12 @@ def _real(rows: list[dict[str, Any]]) -> list[str]:
     return out
 
 
-def main() -> int:
+def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks assignment", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser = study_parser("assignment", __doc__)
     parser.add_argument("--real", type=Path, help="folder of real sensor recordings")
     parser.add_argument("--subset", choices=("test", "validation"), default="test")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "assignment.json")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = [] if options.real is None else list(real_trials(options.real))
     clips = sorted(sessions(options.corpus, mocap_people(options.subset)), key=lambda clip: len(clip.poses))
@@ -334,8 +331,7 @@ def main() -> int:
         print(f"{clip.name}: {shares[0]} % right with the image, {shares[1]} % without", flush=True)
         write_results(options.out, {"rows": rows}, tables(rows))  # a part is a result too
     print(tables(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -13,16 +13,14 @@ from movement.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import zlib
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.progress import track
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import write_results
 from benchmarks.held import HELD, MOVING, held_then_moving, held_wrongly
 from benchmarks.mounting import pieces
@@ -35,7 +33,6 @@ from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 
-HERE = Path(__file__).parent
 SEED = 1
 POSE_ERRORS_DEG = (0.0, 5.0, 10.0, 15.0)
 KINDS = ("right calibration", "given", "told", "own")
@@ -129,11 +126,9 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks calibration_by_pose", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "calibration_by_pose.json")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("calibration_by_pose", __doc__)
     options = parser.parse_args(arguments)
     clips = list({clip.subject: clip for clip in pieces(options.corpus, "validation")}.values())
     jobs = [(clip, pose, error) for clip in clips for pose in POSES for error in POSE_ERRORS_DEG]
@@ -142,8 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     result = {"command": command, "seed": SEED, "rows": rows}
     write_results(options.out, result, table(rows))
     print(table(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

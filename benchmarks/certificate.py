@@ -10,7 +10,6 @@ sensor turned by 15 degrees, references tilted by 5, a focal length or bones 10 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -27,6 +26,7 @@ from benchmarks import clocks_real, harness
 from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import with_late_video
 from benchmarks.clocks_headings import filmed
+from benchmarks.command_line import study_parser
 from benchmarks.confidence.cases import turn_error
 from benchmarks.verdicts.scores import area, rank_correlation
 from rtof_kin.body.metrics import at_times
@@ -261,22 +261,17 @@ def print_real(folder: Path) -> None:
             print(f"| {' | '.join(cells)} |", flush=True)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks certificate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("certificate", __doc__, motion=False)
     parser.add_argument("--corpus", type=Path, help="folder of free motion")
     parser.add_argument("--exercises", type=Path, help="corpus of models/build_corpus.py with UI-PRMD's people")
     parser.add_argument("--faults", action="store_true", help="also every second motion with each fault")
     parser.add_argument("--real", type=Path, help="folder of real sensors: the table of their certificates alone")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "certificate.json")
     options = parser.parse_args(arguments)
     if options.real:
         print_real(options.real)
-        return 0
+        return
     if options.corpus is None:
         parser.error("give --corpus, or --real")
     clips = harness.test_clips(options.corpus)
@@ -295,8 +290,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = "\n".join(["# Certificates of held-out people and rigs\n", about, table(right), fault_table(rows)])
     harness.write_results(options.out, [], text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -6,13 +6,11 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import SENSOR_SETS, middle, recorded, test_clips, write_results
 from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.self_calibration import find_offset
@@ -66,11 +64,9 @@ def rows(recordings: list[Recording]) -> list[dict[str, float | str | bool]]:
     return out
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks clock_offsets", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "clock_offsets.json")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("clock_offsets", __doc__)
     options = parser.parse_args(arguments)
     clips = [middle(clip, 8.0) for clip in test_clips(options.corpus)]
     found = rows([recorded(c, camera, "realistic", SENSOR_SETS["8"], 0) for c in clips for camera in (0, 2)])
@@ -82,8 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
         lines.append(f"| {name} | {len(own)} | {' | '.join(map(str, counts))} | {moved:.0f} |")
     write_results(options.out, found, "\n".join(lines))
     print("\n".join(lines))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -17,8 +17,6 @@ Headings are found of the first video of a session.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -29,6 +27,7 @@ import numpy as np
 from numpy.random import Generator
 from rich.progress import track
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
@@ -51,7 +50,6 @@ from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 
-HERE = Path(__file__).parent
 RATE_HZ = 60.0
 """Of the motion."""
 SESSION, VIDEO, PAUSE, BLEND = 720.0, 20.0, 2.0, 1.0
@@ -428,23 +426,16 @@ def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks clocks_headings",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("clocks_headings", __doc__)
     parser.add_argument("--clocks-only", action="store_true", help="without headings, in two minutes")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "clocks_headings.json")
     options = parser.parse_args(arguments)
     result = measure(options.corpus, not options.clocks_only, options.out)
     text = text_of(result)
     write_results(options.out, result, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -10,8 +10,6 @@ motion here and costs nothing: the benchmark that counts is `clocks_headings`.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -21,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clocks_headings import REACH, Session, clock_row, filmed, heading_rows
+from benchmarks.command_line import study_parser
 from benchmarks.harness import write_results
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -93,15 +92,10 @@ def _poses(imus: BoneImuSequence, skeleton: SkeletonModel) -> PoseSequence:
     return PoseSequence(imus.times[first : last + 1], p, turned, skeleton.names)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks clocks_real",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("clocks_real", __doc__, motion=False)
     parser.add_argument("--data", type=Path, required=True, help="folder of real sensors")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "clocks_real.json")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     lines = [
@@ -125,8 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
         lines.append(f"| {own.name} | {count / 60:.0f} | {clock} | {said} | {turned} |")
         print(lines[-1], flush=True)
     write_results(options.out, rows, "\n".join(lines))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,17 +8,15 @@ recording. Five minutes on one core.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.progress import track
 
-from benchmarks.harness import HERE, middle, recorded, test_clips, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import middle, recorded, test_clips, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.clinical.comparison import By, Compared, Comparison, compare, compared
@@ -176,16 +174,10 @@ def power(found: Sequence[Outcome]) -> Table:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks comparison",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("comparison", __doc__)
     parser.add_argument("--most", type=int, help="number of motions")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "comparison.json")
     options = parser.parse_args(arguments)
     clips = [middle(clip, SECONDS) for clip in test_clips(options.corpus)][: options.most]
     walks = [clip for clip in clips if clip.name in WALKS]
@@ -198,8 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
     ]
     write_results(options.out, rows, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

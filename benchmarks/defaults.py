@@ -15,11 +15,8 @@ minute on one core.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +27,7 @@ from benchmarks import harness
 from benchmarks.accuracy.faults import FAULTS
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.accuracy.windows import bounds
+from benchmarks.command_line import study_parser
 from lifting.predict import Lifter
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core.choices import GUARDS
@@ -235,18 +233,14 @@ def tables(rows: Sequence[Row]) -> list[Table]:
     return [*found, Table("guards", "Guards as classifiers", columns, (0, 0, 0, 0, 0), tuple(lines))]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks defaults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("defaults", __doc__)
     parser.add_argument("--only", default=",".join([*SWITCHES, "guards"]), help="switches, and 'guards'")
     parser.add_argument("--cameras", type=int, choices=(1, 2, 3, 4), default=2)
     parser.add_argument("--motions", help="names, with commas; default: all of the benchmark")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each motion's middle")
     parser.add_argument("--restart", action="store_true", help="throw rows of other code away")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "defaults.json")
     options = parser.parse_args(arguments)
     clips = [harness.middle(clip, options.seconds) for clip in harness.test_clips(options.corpus)]
     if options.motions:
@@ -258,8 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
     harness.write_results(options.out, {"seconds": options.seconds, "rows": rows}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

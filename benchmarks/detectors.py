@@ -10,16 +10,14 @@ give. *all joints* is the adapter's mean over whatever it gives.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import mocap_people, write_results
 from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
@@ -30,7 +28,6 @@ from rtof_kin.simulation.mocap import MocapClip, read_corpus
 from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks, recognise
 from rtof_kin.vision.layouts import mirrored
 
-HERE = Path(__file__).parent
 FOCAL_PX, DISTANCE, RATE_HZ, VIEWS, SEED = 1250.0, 4.0, 5.0, 4, 1
 BIAS_PX, WHITE_PX, HIDDEN = 6.0, 5.0, 0.25
 KINDS = ("exact", "noisy", "gaps")
@@ -164,11 +161,9 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks detectors", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "detectors.json")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("detectors", __doc__)
     options = parser.parse_args(arguments)
     clips = list(read_corpus(options.corpus, mocap_people("validation"), output_rate_hz=RATE_HZ))
     rows = measure(clips, LandmarkRegression.default())
@@ -180,8 +175,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     write_results(options.out, result, table(rows))
     print(table(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -15,7 +15,6 @@ most: its band is to be too wide rather than too narrow.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import os
 import sys
@@ -30,6 +29,7 @@ from rich.progress import track
 from scipy.optimize import least_squares
 
 from benchmarks import harness
+from benchmarks.command_line import study_parser
 from benchmarks.range_bands import clips
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import at_times
@@ -47,7 +47,6 @@ from rtof_kin.plan.prediction import SETTINGS
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.mocap import MocapClip
 
-HERE = Path(__file__).parent
 SENSORS = ("0", "8", "10")
 SECONDS, RATE_HZ, KG, SEED = 6.0, 60.0, 75.0, 5
 EVERY = 12
@@ -224,15 +223,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("dynamics", __doc__)
     parser.add_argument("--fit", action="store_true", help="print the constants of the validation people")
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "dynamics.json")
     options = parser.parse_args(arguments)
     os.environ["OMP_NUM_THREADS"] = "1"
     chosen = cases(options.corpus, options.fit)
@@ -244,7 +239,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name, spectrum in fitted(found).items():
             print(f'    "{name}": ErrorSpectrum({spectrum.share:.2g}, {spectrum.seconds:.2g}),')
         print(f"With the constants as committed:\n\n{table(rows)}")
-        return 0
+        return
     motions, people = (len({one.about[key] for one in found}) for key in ("motion", "subject"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = (
@@ -253,8 +248,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     harness.write_results(options.out, {"command": words, "rows": rows}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

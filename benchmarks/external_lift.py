@@ -14,8 +14,6 @@ camera neither heading nor place means anything. Of the file alone the points of
 
 from __future__ import annotations
 
-import argparse
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
+from benchmarks.command_line import study_parser
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -229,10 +228,9 @@ def table(found: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks external_lift", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("external_lift", __doc__, page="")
     parser.add_argument("--without-video", action="store_true", help="a file beside sensors alone")
     parser.add_argument("--out", type=Path, help="page; default: in results/")
     options = parser.parse_args(arguments)
@@ -247,8 +245,7 @@ def main(arguments: list[str] | None = None) -> int:
     pooled = table_without_video(found) if options.without_video else table(found)
     out.write_text(f"# The 3D poses of another model {title}\n\n{about}\n{pooled}", encoding="utf-8")
     print(pooled)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

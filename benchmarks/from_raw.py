@@ -13,9 +13,7 @@ are in the world of the true camera's place and heading.
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -27,6 +25,7 @@ import numpy as np
 from numpy.random import Generator
 
 from benchmarks import harness, scoring
+from benchmarks.command_line import study_parser
 from benchmarks.uncalibrated_camera import clips
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -177,13 +176,10 @@ def report(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks from_raw", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("from_raw", __doc__)
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
-    out = harness.HERE / "results" / "from_raw.json"
-    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args(arguments)
     rows: list[Row] = json.loads(options.out.read_text()) if options.out.exists() else []
     done = {(row["motion"], row["camera"], row["sensors"]) for row in rows}
@@ -197,8 +193,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(name, camera, sensors, [row["mpjpe_rr_mm"] for row in rows[-3:]], flush=True)
     options.out.with_suffix(".md").write_text(report(rows) + "\n")
     print(report(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -10,7 +10,6 @@ reconstruction of a dance (`range_bands`) had passed. Two minutes of one core.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import re
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.harness import HERE, split, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import split, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import analyse_gait
@@ -142,9 +142,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Judge the corpus and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "gait_recognition.json")
+    parser = study_parser("gait_recognition", __doc__)
     options = parser.parse_args(arguments)
     rows = list(judged(options.corpus))
     text = tables(rows)

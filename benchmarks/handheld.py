@@ -10,8 +10,6 @@ their random numbers. Rows are written as they come: an interrupted run resumes 
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -25,6 +23,7 @@ from rich.progress import track
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration.planted_rows import SESSIONS, session
+from benchmarks.command_line import study_parser
 from benchmarks.turning_video import pan_and_shake, write_turning_video
 from lifting.predict import Lifter
 from rtof_kin.core import rotations as so3
@@ -216,17 +215,13 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     return found
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks handheld", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("handheld", __doc__)
     parser.add_argument("--motions", help="names, with commas; default: all of the benchmark")
     parser.add_argument("--sensors", default="8,0", help="numbers of sensors, with commas")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each motion's middle")
     parser.add_argument("--restart", action="store_true", help="throw rows of other code away")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "handheld.json")
     options = parser.parse_args(arguments)
     clips = [harness.middle(clip, options.seconds) for clip in harness.test_clips(options.corpus)]
     if options.motions:
@@ -239,8 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
     harness.write_results(options.out, {"seconds": options.seconds, "rows": rows}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from rich.progress import Progress
 
 from benchmarks import scoring
+from benchmarks.command_line import study_parser
 from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
 from lifting.training.corpus import Corpus
@@ -312,8 +313,8 @@ def in_order(rows: Iterable[dict[str, Any]], by: Sequence[str]) -> list[dict[str
     return sorted(rows, key=lambda row: [order.get(field, lambda own: own)(row[field]) for field in by])
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
     options = _parser().parse_args(arguments)
     clips = test_clips(options.corpus) + (exercise_clips(options.exercises) if options.exercises else [])
     postures = t_poses(options.corpus) if options.posture == "known" else {}
@@ -350,7 +351,6 @@ def main(arguments: list[str] | None = None) -> int:
     text = "\n".join(table.markdown() for table in tables(rows))
     write_results(options.out, json.loads(json.dumps(result), parse_float=_rounded), text)
     print(text)
-    return 0
 
 
 def _rounded(text: str) -> float:
@@ -358,10 +358,7 @@ def _rounded(text: str) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks harness", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser = study_parser("harness", __doc__)
     parser.add_argument("--exercises", type=Path, metavar="CORPUS.npz", help="also exercises of held-out people")
     parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")
     parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
@@ -378,9 +375,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "harness.json")
     return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

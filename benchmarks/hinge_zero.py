@@ -14,9 +14,7 @@ people: 4 and 2 degrees, each with a spread of 4, correlation 0.6, and 1.5 more 
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -29,6 +27,7 @@ from numpy.random import Generator
 
 from benchmarks import harness
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
@@ -261,16 +260,14 @@ def report(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks hinge_zero", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("hinge_zero", __doc__)
     parser.add_argument("--people", default=",".join(WALKS))
     parser.add_argument("--seconds", default="6,20,60")
     parser.add_argument("--cases", default="camera alone;run", help="of " + "; ".join(CASES))
     parser.add_argument("--cameras", default="side,behind")
     parser.add_argument("--bent", type=float, default=0.0, help="deg more than usual of all knees, as of patients")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "hinge_zero.json")
     options = parser.parse_args(arguments)
     rows: list[Row] = json.loads(options.out.read_text()) if options.out.exists() else []
     done = {(r["person"], r["seconds"], r["still"], r["camera"], r["case"]) for r in rows}
@@ -289,8 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(*about.values(), case, [row["constant_deg"] for row in own], own[0]["inside"], flush=True)
     options.out.with_suffix(".md").write_text(report(rows) + "\n", encoding="utf-8")
     print(report(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

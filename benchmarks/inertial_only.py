@@ -9,10 +9,8 @@ path since the first frame: at the end, by what was walked and by time.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import sys
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -23,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.__main__ import VALIDATION
-from benchmarks.harness import HERE, SENSOR_SETS, bootstrap, split, whole_clips
+from benchmarks.command_line import study_parser
+from benchmarks.harness import SENSOR_SETS, bootstrap, split, whole_clips
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -158,13 +157,11 @@ def motions(corpus: Path, subset: str) -> list[MocapClip]:
     return [replace(clip, poses=clip.poses[: round(_LONGEST * clip.poses.rate_hz)]) for clip in clips]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks inertial_only", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("inertial_only", __doc__)
     parser.add_argument("--subset", choices=("test", "validation"), default="test")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "inertial_only.json")
     options = parser.parse_args(arguments)
     jobs = [
         Job(clip, count, noise, zlib.crc32(clip.name.encode()))
@@ -179,8 +176,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     options.out.with_suffix(".md").write_text(found.markdown(), encoding="utf-8")
     print(found.markdown())
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -10,7 +10,6 @@ is the same in all recordings. Who walks out of the picture is left out. Ten min
 
 from __future__ import annotations
 
-import argparse
 import sys
 import zlib
 from collections.abc import Iterator
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
+from benchmarks.command_line import study_parser
 from lifting.training.corpus import read_corpus
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -158,19 +158,17 @@ def table(rows: list[dict[str, Any]]) -> Table:
     return Table("known_person", "Later recordings", columns, (0, 0, *digits, 2, 1), tuple(found))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks known_person", description=__doc__)
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("known_person", __doc__, motion=False, page="{}.md")
     parser.add_argument("--exercises", type=Path, required=True, help="corpus of models/build_corpus.py")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "known_person.md")
     options = parser.parse_args(arguments)
     with ProcessPoolExecutor(2) as pool:
         rows = [row for own in pool.map(measured, list(people(options.exercises))) for row in own]
     text = f"# People known from one recording\n\n{table(rows).markdown()}"
     options.out.write_text(text + "\n", encoding="utf-8")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -7,8 +7,6 @@ markers (UI-PRMD's 7 and 8), with the simulated detector, random cameras and no 
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +14,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks import harness
+from benchmarks.command_line import study_parser
 from lifting import checkpoint
 from lifting.training.corpus import Corpus, read_corpus
 from lifting.training.losses import Validation
@@ -50,12 +48,11 @@ def only(corpus: Corpus, markers: bool) -> Corpus:
     return replace(corpus, split=tuple("excluded" if w else s for w, s in zip(wrong, corpus.split, strict=True)))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks learning", description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("learning", __doc__, motion=False, page="{}.md")
     parser.add_argument("corpus", type=Path, metavar="CORPUS.npz")
     parser.add_argument("--windows", type=int, default=500_000)
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "learning.md")
     options = parser.parse_args(arguments)
     corpus = read_corpus(options.corpus)
     usual = TrainConfig(windows=options.windows, validations=1, validation_windows=64, prior="none", ema=0.99)
@@ -88,8 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(lines[-1], flush=True)
     rest = f"Root-relative / absolute error, mm, after {options.windows / 1e6:g} M windows from the first weights."
     options.out.write_text("\n".join([*lines, "", rest, ""]), encoding="utf-8")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,18 +8,17 @@ scene. It writes results/lifter_lookahead.json and .md. Four minutes of one core
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.harness import HERE, SENSOR_SETS, bootstrap, recorded, split, test_clips, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import SENSOR_SETS, bootstrap, recorded, split, test_clips, write_results
 from lifting.predict import Lifter
 from lifting.streaming import StreamedPose, StreamingLifter
 from rtof_kin.body.metrics import at_times
@@ -221,13 +220,11 @@ def text_of(rows: list[Row]) -> str:
     return "\n\n".join(part.rstrip() for part in parts)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Measure, write and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks lifter_lookahead", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser = study_parser("lifter_lookahead", __doc__)
     parser.add_argument("--lifter", default="live", help="a file, or a shipped one by name")
     parser.add_argument("--motions", help="only these, separated by commas")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "lifter_lookahead.json")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     lifter, clips = Lifter.load(options.lifter), test_clips(options.corpus)
@@ -240,8 +237,7 @@ def main(arguments: list[str] | None = None) -> int:
     short = json.loads(json.dumps(rows), parse_float=lambda value: float(f"{float(value):.5g}"))
     write_results(options.out, short, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

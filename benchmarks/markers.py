@@ -13,7 +13,6 @@ benchmarks/README.md describes; that of `--opensim` the files `subject01_static.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import HERE
 from rtof_kin.body import metrics
 from rtof_kin.clinical.angles import clinical_angles
@@ -157,13 +157,12 @@ def opensim_table(folder: Path) -> str:
     return table("OpenSim's inverse kinematics, degrees", ("angle", "range", "offset", "rms after it"), rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks markers", description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("markers", __doc__, motion=False, page="{}.md")
     parser.add_argument("--motion", type=Path, help="folder of the collections of motion")
     parser.add_argument("--opensim", type=Path, help="folder of the three files of opensim-core")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "markers.md")
     options = parser.parse_args(arguments)
     parts = ["# Markers on the skeleton", "", planted_table()]
     parts += [opensim_table(options.opensim)] if options.opensim else []
@@ -172,8 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "\n".join(parts)
     options.out.write_text(text, encoding="utf-8")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,8 +11,6 @@ back.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +21,7 @@ import numpy as np
 from numpy.random import Generator
 from rich.progress import track
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import SENSOR_SETS, mocap_people, split, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -33,7 +32,6 @@ from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import low_passed
 
-HERE = Path(__file__).parent
 SEED, POSE = 1, "N"
 SECONDS, LEAST_SECONDS, MOST_PIECES = 12.0, 4.0, 2
 MISALIGNMENT_DEG = 10 / np.sqrt(8 / np.pi)
@@ -220,13 +218,11 @@ def table(summary: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks mounting", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("mounting", __doc__)
     parser.add_argument("--subset", choices=("validation", "train"), default="validation")
     parser.add_argument("--most", type=int, default=100, help="so many pieces, evenly drawn")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "mounting.json")
     options = parser.parse_args(arguments)
     clips = list(pieces(options.corpus, options.subset))
     clips = clips[:: max(len(clips) // options.most, 1)][: options.most]
@@ -242,8 +238,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     write_results(options.out, result, table(summary))
     print(table(summary))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

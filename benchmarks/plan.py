@@ -11,7 +11,6 @@ of the errors achieved, Spearman's correlation over angles, and the mean of thei
 
 from __future__ import annotations
 
-import argparse
 import logging
 import os
 import sys
@@ -26,6 +25,7 @@ from rich.progress import track
 from scipy.stats import spearmanr
 
 from benchmarks import harness
+from benchmarks.command_line import study_parser
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
 from rtof_kin.body.kinematics import shared_frames
@@ -39,7 +39,6 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed, standard_cameras
 
-HERE = Path(__file__).parent
 SENSORS = ("0", "4", "8", "10")
 SECONDS = 6.0
 PLANNED_SEED, RECORDED_SEED = 7000, 3
@@ -200,16 +199,12 @@ def pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("plan", __doc__)
     parser.add_argument("--split", choices=("test", "validation"), default="test")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--no-library", action="store_true", help="only the same movement")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "plan.json")
     options = parser.parse_args(arguments)
     chosen = [case for case in cases(options.corpus, options.split) if not (options.no_library and case.library)]
     rows: list[dict[str, Any]] = []
@@ -220,8 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = f"`python -m benchmarks plan {words}`\n\n{table(rows)}"
     harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

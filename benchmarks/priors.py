@@ -8,8 +8,6 @@ nine of ten.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
+from benchmarks.command_line import study_parser
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.mocap import MocapClip
@@ -44,14 +43,12 @@ def rows(priors: Sequence[Path], job: tuple[int, MocapClip]) -> list[dict[str, A
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks priors", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("priors", __doc__, page="{}.md")
     parser.add_argument("--exercises", type=Path, metavar="CORPUS.npz", help="also exercises of held-out people")
     parser.add_argument("priors", type=Path, nargs="+", metavar="PRIOR.npz")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "priors.md")
     options = parser.parse_args(arguments)
     clips = harness.test_clips(options.corpus)
     jobs = list(enumerate(clips + (harness.exercise_clips(options.exercises) if options.exercises else [])))
@@ -73,8 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "\n".join(lines) + "\n"
     options.out.write_text(text, encoding="utf-8")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

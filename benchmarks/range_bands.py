@@ -10,7 +10,6 @@ one core.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks import harness
+from benchmarks.command_line import study_parser
 from rtof_kin.body.metrics import at_times
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
@@ -194,11 +194,9 @@ def gait_and_way(recordings: Sequence[Row]) -> Iterator[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Simulate, reconstruct and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, metavar="DIR")
+    parser = study_parser("range_bands", __doc__)
     parser.add_argument("--subset", choices=["test", "validation"], default="test")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "range_bands.json")
     options = parser.parse_args(arguments)
     rows: list[Row] = []
     recordings: list[Row] = []

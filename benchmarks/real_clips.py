@@ -9,7 +9,6 @@ pictures, and the predictions are triangulated alike.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from unittest import mock
 import numpy as np
 import tomli_w
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
@@ -253,18 +253,16 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return Table("real_clips", title, ("clip", "mode", *COLUMNS.values()), digits, tuple(cells), NOTES).markdown()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks real_clips", description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("real_clips", __doc__, motion=False)
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "real_clips.json")
     options = parser.parse_args(arguments)
     rows = [row for name, clip in clips(options.data) for row in measure(name, clip)]
     result = {"command": "python -m benchmarks real_clips --data DIR", "rows": rows}
     write_results(options.out, result, table(rows))
     print(table(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

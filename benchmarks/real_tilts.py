@@ -8,15 +8,13 @@ sits.)
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import harness
+from benchmarks.command_line import study_parser
 from benchmarks.real_clips import clips
 from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.data.camera import Camera, CameraUncertainty
@@ -52,19 +50,17 @@ def rows(data: Path) -> list[list[str]]:
     return out
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks real_tilts", description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("real_tilts", __doc__, motion=False, page="{}.md")
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "real_tilts.md")
     options = parser.parse_args(arguments)
     heads = ["clip", "camera", "looks down deg", "found", "turned deg", "found", "height m", "found"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     lines += [f"| {' | '.join(row)} |" for row in rows(options.data)]
     text = f"# Tilt of real cameras\n\n{(__doc__ or '').partition(chr(10))[2].strip()}\n\n"
     options.out.write_text(text + "\n".join(lines) + "\n")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command_line import study_parser
 from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
 from rtof_kin.batch.rows import Row, RowFile
 from rtof_kin.batch.run import SHARE, Batch, Place, run_batch, write_tables
@@ -255,7 +256,7 @@ def limits(cost: Cost, driver: Driver, table: TableCost, minutes: float) -> list
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser("scale", __doc__, motion=False, page="")
     parser.add_argument("--measured", type=Path, metavar="CSV", help="batch.csv of recordings of yours")
     parser.add_argument("--jobs", type=int, default=10**4, help="recordings of the empty batch")
     parser.add_argument("--rows", type=int, nargs="+", default=[10**4, 10**5], help="rows of tables")

@@ -14,7 +14,6 @@ unknowns is a variant. An interrupted run resumes where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import zlib
 from collections.abc import Iterator
@@ -30,6 +29,7 @@ from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration import planting
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from benchmarks.defaults import FIGURES, NEGLIGIBLE
 from benchmarks.rerigged import rerigged
 from lifting.predict import Lifter
@@ -341,19 +341,12 @@ def tables(rows: list[Row]) -> list[Table]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks sequential_calibration",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("sequential_calibration", __doc__)
     parser.add_argument("--sessions", default=",".join(SESSIONS), help="some, separated by commas")
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     parser.add_argument("--restart", action="store_true", help="throw rows of other code away")
-    out = harness.HERE / "results" / "sequential_calibration.json"
-    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args(arguments)
     file = RowFile(options.out.with_suffix(".rows"), version_of(), options.restart)
     lifter = Lifter.load()
@@ -368,8 +361,7 @@ def main(arguments: list[str] | None = None) -> int:
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
     harness.write_results(options.out, {"rows": rows}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -9,7 +9,6 @@ camera and floor; recordings that give nothing, or the height. Half an hour of o
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.harness import HERE, SENSOR_SETS, built_clip, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import SENSOR_SETS, built_clip, write_results
 from benchmarks.rerigged import rerigged, t_pose
 from lifting.training.corpus import read_corpus
 from rtof_kin.body import kinematics
@@ -142,11 +142,9 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks subject", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True)
+    parser = study_parser("subject", __doc__)
     parser.add_argument("--people", type=int, default=30)
     parser.add_argument("--first", type=int, default=0, help="number of the first person")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "subject.json")
     options = parser.parse_args()
     rows, corpus = list[dict[str, Any]](), read_corpus(options.corpus)
     test = [i for i in range(len(corpus.split)) if corpus.split[i] == "test" and corpus.subjects[i].startswith("CMU")]

@@ -8,18 +8,17 @@ person. *Calibrated* cameras are as a calibration gives them, with the errors of
 
 from __future__ import annotations
 
-import argparse
 import sys
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
 from benchmarks import scoring
+from benchmarks.command_line import study_parser
 from benchmarks.harness import bootstrap, middle, test_clips, write_results
 from rtof_kin.calibration.second_camera import SecondCamera
 from rtof_kin.core import rotations as so3
@@ -33,7 +32,6 @@ from rtof_kin.setup.join import find_second_camera
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 
-HERE = Path(__file__).parent
 FOCAL, TILT_DEG, APART_DEG, CLOCK = (0.05, 0.10), (3.0, 5.0), (60.0, 90.0), (-60.0, 60.0)
 """Ranges: error of the focal lengths [1], of the second camera's tilt, angle between the cameras, clock s."""
 SHORTEST = 3.0
@@ -182,14 +180,12 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
     return first.markdown() + "\n" + second.markdown()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks two_cameras", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("two_cameras", __doc__)
     parser.add_argument("--seconds", type=float, default=8.0, help="of each motion")
     parser.add_argument("--motions", help="only these, separated by commas")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "two_cameras.json")
     options = parser.parse_args(arguments)
     chosen = [middle(clip, options.seconds) for clip in test_clips(options.corpus)]
     wanted = options.motions.split(",") if options.motions else [clip.name for clip in chosen]
@@ -202,8 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(clip.name, [round(row["mpjpe_rr_mm"], 1) for row in rows[-8:]], file=sys.stderr, flush=True)
             write_results(options.out, {"command": command, "rows": rows}, tables(rows))
     print(tables(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,7 +8,6 @@ heading, position and clock unknown (`rtof_kin.calibration.second_camera`).
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.command_line import study_parser
 from benchmarks.harness import write_results
 from benchmarks.real_clips import COLUMNS, Clip, clips, score
 from benchmarks.two_cameras import camera_errors
@@ -29,7 +29,6 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.join import find_second_camera
 from rtof_kin.vision.image_points import image_points
 
-HERE = Path(__file__).parent
 APART_DEG = (50.0, 130.0)
 ONE, TWO, FOUND = "one", "two, calibrated", "two, second found"
 FIGURES = ("relative_mm", "centred_mm", "absolute_mm", "own_px", "other_px", "inside")
@@ -116,11 +115,10 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
     return first.markdown() + "\n" + second.markdown()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks two_real_cameras", description=__doc__)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("two_real_cameras", __doc__, motion=False)
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "two_real_cameras.json")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     for name, clip in clips(options.data):
@@ -129,8 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result = {"command": "python -m benchmarks two_real_cameras --data DIR", "rows": rows}
         write_results(options.out, result, tables(rows))
     print(tables(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

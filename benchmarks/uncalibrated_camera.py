@@ -12,7 +12,6 @@ of other subjects, in its standard deviations, which were chosen by it.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import zlib
@@ -26,6 +25,7 @@ import numpy as np
 from benchmarks import harness, scoring
 from benchmarks.calibration.planted_rows import SESSIONS
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from rtof_kin.body.metrics import at_times
 from rtof_kin.calibration.camera_estimate import UNKNOWNS, corrected
 from rtof_kin.core.array_types import Array
@@ -240,18 +240,15 @@ def _table(heads: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in rows]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks uncalibrated_camera", description=__doc__)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("uncalibrated_camera", __doc__)
     parser.add_argument("--fit", action="store_true", help="print the evidence in recordings of training subjects")
     parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))
-    out = harness.HERE / "results" / "uncalibrated_camera.json"
-    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args(arguments)
     if options.fit:
         fitted(options.corpus)
-        return 0
+        return
     partial = options.out.with_suffix(".jsonl")
     rows = [json.loads(line) for line in partial.read_text().splitlines()] if partial.exists() else []
     done = {(row["motion"], row["camera"], row["sensors"]) for row in rows}
@@ -267,8 +264,7 @@ def main(arguments: list[str] | None = None) -> int:
     harness.write_results(options.out, {"rows": rows}, report(rows))
     partial.unlink(missing_ok=True)
     print(report(rows))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

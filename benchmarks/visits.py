@@ -10,7 +10,6 @@ with the height alone. The true change of every angle's mean, range and ends is 
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import zlib
@@ -23,7 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.harness import HERE, SENSOR_SETS, middle, whole_clips, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import SENSOR_SETS, middle, whole_clips, write_results
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
@@ -307,14 +307,10 @@ def table(found: dict[str, list[dict[str, Any]]]) -> Table:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks visits", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("visits", __doc__)
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES), help="only these")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "visits.json")
     options = parser.parse_args(arguments)
     found: dict[str, list[dict[str, Any]]] = json.loads(options.out.read_text()) if options.out.exists() else {}
     todo = [name for name in options.cases if name not in found]
@@ -331,8 +327,7 @@ def main(arguments: list[str] | None = None) -> int:
         found[name] = [*measure(CASES[name], clips)]
         write_results(options.out, found, f"# Changes between visits\n\n{table(found).markdown()}")
     print(table(found).markdown())
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -29,6 +29,7 @@ from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.accuracy.rows import Job, Row, run
 from benchmarks.accuracy.tables import TABLES, failures
+from benchmarks.command_line import study_parser
 from benchmarks.harness import HERE
 from rtof_kin.core.errors import RtofError
 from rtof_kin.protocols.tables import Table
@@ -89,8 +90,8 @@ def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -
     return text
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
     options = _parser().parse_args(arguments)
     motions = clips(options.corpus, options.subset)
     names = [clip.name for clip in motions]
@@ -116,7 +117,6 @@ def main(arguments: list[str] | None = None) -> int:
         }
         print(write(out, TABLES[table](rows), facts, rows))
         kept.path.unlink()
-    return 0
 
 
 def _command(arguments: Sequence[str], options: argparse.Namespace) -> str:
@@ -132,10 +132,7 @@ def _names(text: str) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks accuracy", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser = study_parser("accuracy", __doc__, page="")
     parser.add_argument("--tables", default=list(TABLES), type=_names, help="separated by commas")
     parser.add_argument("--subset", default="test", choices=("test", "validation"))
     parser.add_argument("--motions", default=[], type=_names, help="only these, separated by commas")
@@ -149,4 +146,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

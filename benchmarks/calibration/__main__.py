@@ -11,9 +11,7 @@ Three rows for the benchmark's 4 s motions and for sessions of 20 s that join mo
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,6 +25,7 @@ import numpy as np
 from benchmarks import harness
 from benchmarks.accuracy.__main__ import clips as benchmark_clips
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from benchmarks.keypoint_noise import independent
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -127,20 +126,14 @@ def table(found: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks calibration",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("calibration", __doc__)
     parser.add_argument("--subset", default="test", choices=tuple(SUBJECTS))
     parser.add_argument("--kinds", default="clips,20", help="clips, or seconds of a session")
     parser.add_argument("--sensors", default="8,10")
     parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "calibration.json")
     options = parser.parse_args(arguments)
     found: list[Row] = []
     for kind in options.kinds.split(","):
@@ -151,7 +144,6 @@ def main(arguments: list[str] | None = None) -> int:
                     found += [{"kind": kind if kind == "clips" else f"{kind} s", **r} for r in own]
                     write(options.out, options.subset, found)
     print(table(found))
-    return 0
 
 
 def write(out: Path, subset: str, found: Sequence[Row]) -> None:
@@ -163,4 +155,4 @@ def write(out: Path, subset: str, found: Sequence[Row]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

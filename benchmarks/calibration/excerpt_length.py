@@ -10,7 +10,6 @@ preparation is shared. An interrupted run resumes where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -27,6 +26,7 @@ from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration.planted_rows import ALL, BUT, FIGURES, PLAIN, SESSIONS, Job, Row, found, recorded, truths
 from benchmarks.calibration.planted_tables import numbers
 from benchmarks.calibration.sessions import joined
+from benchmarks.command_line import study_parser
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.result import SelfCalibration
@@ -194,25 +194,18 @@ def _with_error(values: Array) -> list[str]:
     return [f"{m:+.2f} ± {e:.2f}" for m, e in zip(values.mean(axis=0), error, strict=True)]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks calibration.excerpt_length",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    out = harness.HERE / "results" / "calibration_excerpt.jsonl"
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("calibration.excerpt_length", __doc__, page="calibration_excerpt.jsonl")
     parser.add_argument("--settings", default="12.5,20,30,60", help="s of a recording that are used")
     parser.add_argument("--rounds", type=int, default=4, choices=range(1, len(ROUNDS) + 1))
     parser.add_argument("--tables", action="store_true", help="of what is there; make no more")
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
-    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args(arguments)
     if options.tables:
         lines = options.out.read_text(encoding="utf-8").splitlines()[1:]
         print(report([row for line in lines for row in json.loads(line)["rows"]]))
-        return 0
+        return
     settings, lifter = [float(s) for s in options.settings.split(",")], Lifter.load(None)
     try:
         file = RowFile(options.out, version_of(settings), options.restart)
@@ -222,8 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
         if job.key not in file.rows:
             file.add(job.key, rows(options.corpus, job, settings, lifter))
     print(report([row for own in file.rows.values() for row in own]))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

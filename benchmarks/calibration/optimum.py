@@ -9,17 +9,14 @@ whether the truth is more likely than the estimate.
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from rich.progress import track
 
-from benchmarks import harness
 from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
+from benchmarks.command_line import study_parser
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments, Slice
@@ -89,18 +86,11 @@ def report(rows: list[Row]) -> str:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks calibration.optimum",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("calibration.optimum", __doc__)
     parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
     parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))
-    out = harness.HERE / "results" / "calibration_optimum.json"
-    parser.add_argument("--out", type=Path, default=out)
     options = parser.parse_args(arguments)
     lifter, rows = Lifter.load(None), []
     jobs = [Job("", s, ALL, camera=c) for s in SESSIONS[options.subset] for c in range(options.cameras)]
@@ -113,8 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.write_text(numbers, encoding="utf-8")
     options.out.with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

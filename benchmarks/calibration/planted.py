@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration import planted_figure, planted_tables
 from benchmarks.calibration.planted_rows import (
@@ -36,6 +35,7 @@ from benchmarks.calibration.planted_rows import (
     session,
 )
 from benchmarks.calibration.planting import ERRORS
+from benchmarks.command_line import study_parser
 from rtof_kin.core.errors import RtofError
 
 
@@ -115,22 +115,15 @@ def measured(options: argparse.Namespace) -> list[Row]:
     return [one for key in wanted for one in file.rows[key]]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks calibration.planted",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    results = harness.HERE / "results"
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("calibration.planted", __doc__)
     parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
     parser.add_argument("--studies", default=",".join(STUDIES), help="some, separated by commas")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
-    parser.add_argument("--out", type=Path, default=results / "calibration_planted.json")
     options = parser.parse_args(arguments)
     rows = measured(options)
     text = planted_tables.report(rows)
@@ -141,8 +134,7 @@ def main(arguments: list[str] | None = None) -> int:
     planted_figure.write_figure(options.out.with_suffix(".png"), rows)
     options.out.with_suffix(".jsonl").unlink()
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

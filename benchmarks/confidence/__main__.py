@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 from rich.progress import track
 
 from benchmarks import harness
+from benchmarks.command_line import study_parser
 from benchmarks.confidence import motions
 from benchmarks.confidence.cases import EVERY, KINDS, SENSORS, Case, reconstructed
 from benchmarks.confidence.curves import Curve, coverage, curve_factors, curves, section, split_file
@@ -140,14 +140,9 @@ def _rounded(value: Any) -> Any:
     return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.4g}"))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks confidence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("confidence", __doc__)
     parser.add_argument("--exercises", type=Path, help="corpus of models/build_corpus.py with UI-PRMD's people")
     parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
     parser.add_argument("--curves", action="store_true", help="make the factors of whole curves that ship")
@@ -156,13 +151,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keypoints", default="realistic,white,perfect", help="kinds of 2D")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
-    parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "confidence.json")
     options = parser.parse_args(arguments)
     if options.curves and not options.exercises:
         parser.error("--curves needs the corpus of --exercises")
     (fit if options.fit else fit_curves if options.curves else study)(options)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -24,6 +24,7 @@ from rich.progress import Progress
 
 from benchmarks.accuracy.__main__ import clips
 from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.command_line import study_parser
 from benchmarks.harness import HERE
 from benchmarks.lifter.figure import write_figure
 from benchmarks.lifter.placements import PLACEMENTS
@@ -77,8 +78,8 @@ def _rounded(value: Any) -> Any:
     )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
     options = _parser().parse_args(arguments)
     lifters = tuple(options.lifter or [""])
     try:
@@ -113,7 +114,6 @@ def main(arguments: list[str] | None = None) -> int:
     }
     print(write(out, tables, facts, rows))
     kept.path.unlink()
-    return 0
 
 
 def _command(options: argparse.Namespace, names: Sequence[str]) -> str:
@@ -142,10 +142,7 @@ def _sources() -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks lifter", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+    parser = study_parser("lifter", __doc__, page="")
     parser.add_argument("--lifter", nargs="+", metavar="FILE", help="checkpoints; the shipped one where not given")
     parser.add_argument("--curves", nargs="+", type=Path, default=[], metavar="FILE", help="further .curves.json files")
     parser.add_argument("--subset", default="test", choices=("test", "validation"))
@@ -158,4 +155,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

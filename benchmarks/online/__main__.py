@@ -18,13 +18,14 @@ from types import ModuleType
 from typing import Any
 
 from benchmarks import harness
+from benchmarks.command_line import study_parser
 from benchmarks.online import accuracy, figure, soak, speed
 
 STUDIES: dict[str, ModuleType] = {"accuracy": accuracy, "soak": soak, "speed": speed}
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
     words = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(words)
     logging.disable(logging.WARNING)  # of the recordings, which are meant to be bad
@@ -37,7 +38,6 @@ def main(arguments: list[str] | None = None) -> int:
     harness.write_results(out, content, text.rstrip())
     _draw(options.study, rows, out.with_suffix(".png"))
     print(text)
-    return 0
 
 
 def _draw(study: str, rows: list[dict[str, Any]], path: Path) -> None:
@@ -56,11 +56,8 @@ def _rounded(value: Any) -> Any:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser("online", __doc__, page="")
     parser.add_argument("study", choices=tuple(STUDIES))
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", choices=("test", "validation"), default="test", help="of accuracy")
     parser.add_argument("--sensors", nargs="+", default=["8", "10"], choices=list(harness.SENSOR_SETS))
     parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5), help="of each motion, in turn")
@@ -84,4 +81,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

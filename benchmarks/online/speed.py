@@ -74,7 +74,7 @@ class Spent:
 
 
 def host() -> dict[str, Any]:
-    """Description of the machine, with the best speed of the lifter's first matrix product, 10^9 operations a second."""
+    """Description of the machine, with the best speed of a matrix product, 10^9 operations a second."""
     model = platform.processor()
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text().splitlines()

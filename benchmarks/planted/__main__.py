@@ -8,7 +8,6 @@ they come: an interrupted run resumes where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -19,7 +18,8 @@ from pathlib import Path
 from rich.progress import Progress
 
 from benchmarks.accuracy.row_file import RowFile, version_of
-from benchmarks.harness import HERE, write_results
+from benchmarks.command_line import study_parser
+from benchmarks.harness import write_results
 from benchmarks.planted.faults import FAULTS, RIGHT
 from benchmarks.planted.gross import GROSS
 from benchmarks.planted.measuring import Row, measured
@@ -69,11 +69,9 @@ def collected(
     return [row for scene in chosen for row in kept.rows[scene.key]]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks planted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("planted", __doc__, motion=False)
     parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
     parser.add_argument("--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME")
     parser.add_argument("--motions", type=int, default=8, help="recordings that faults are planted in")
@@ -83,7 +81,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "planted.json")
     options = parser.parse_args(arguments)
     known = scenes(options.corpus, options.sensors.split(","), options.seed)
     count = max(options.motions, len(known) if options.right is None else options.right)
@@ -105,8 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     plain = json.loads(json.dumps(totals(rows)), parse_float=lambda number: float(f"{float(number):.4g}"))
     write_results(options.out, {"how": how, "totals": plain}, text)
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

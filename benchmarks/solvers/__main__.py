@@ -7,13 +7,10 @@ other work shows longer times. ``--quick`` looks at little of everything, in a m
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
-import sys
 from dataclasses import asdict
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -21,7 +18,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.harness import HERE
+from benchmarks.command_line import study_parser
 from benchmarks.peers.fragments import Material
 from benchmarks.solvers.alone import build_times, by_duration, by_length, by_settings
 from benchmarks.solvers.measuring import Effort, Notify
@@ -42,11 +39,10 @@ def everything(effort: Effort, notify: Notify) -> dict[str, Any]:
     }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks solvers", description=__doc__)
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("solvers", __doc__, motion=False)
     parser.add_argument("--quick", action="store_true", help="little of everything")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "solvers.json")
     options = parser.parse_args(arguments)
     effort = Effort.quick() if options.quick else Effort()
     console, threads = Console(stderr=True), os.environ.get("OMP_NUM_THREADS", "not set")
@@ -72,8 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.with_suffix(".md").write_text(text, encoding="utf-8")
     figure(result, options.out.with_suffix(".png"))
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,7 +8,6 @@ resumes where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -20,7 +19,7 @@ from typing import Any
 from rich.progress import Progress
 
 from benchmarks.accuracy.row_file import RowFile, version_of
-from benchmarks.harness import HERE
+from benchmarks.command_line import study_parser
 from benchmarks.verdicts.measuring import Row, measured
 from benchmarks.verdicts.recordings import SAMPLED, SIMULATED, Job, held_out_clips, jobs
 from benchmarks.verdicts.tables import draw, tables
@@ -69,19 +68,15 @@ def _rounded(text: str) -> float:
     return float(f"{float(text):.4g}")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks verdicts", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
+def main(arguments: list[str] | None = None) -> None:
+    """Command line."""
+    parser = study_parser("verdicts", __doc__)
     parser.add_argument("--detector-errors", type=Path, help="Python file, sampler of real 2D errors")
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     parser.add_argument("--motions", type=int, help="only so many, evenly chosen")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "verdicts.json")
     options = parser.parse_args(arguments)
     clips = held_out_clips(options.corpus)
     if options.motions is not None:
@@ -105,8 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(write(rows, options.out, {"how": how, "version": version, "seed": options.seed}))
     kept.path.unlink()
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
