@@ -7,6 +7,8 @@ import runpy
 import sys
 from pathlib import Path
 
+from rtof_kin.core.errors import RtofError
+
 HERE = Path(__file__).parent
 
 
@@ -30,7 +32,10 @@ def main() -> None:
             print(f"{name:28} {first}")
         sys.exit(0 if len(sys.argv) < 2 else f"no study is called {sys.argv[1]!r}; these are all")
     del sys.argv[0]
-    runpy.run_module(f"benchmarks.{sys.argv[0]}", run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(f"benchmarks.{sys.argv[0]}", run_name="__main__", alter_sys=True)
+    except RtofError as error:
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

@@ -12,19 +12,18 @@ from __future__ import annotations
 
 import sys
 import zlib
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks import harness, scoring
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
+from rtof_kin.simulation.simulate import SimulationSettings
 
 SENSORS = ("0", "8", "10")
 _ANATOMICAL = DetectorErrors(layout="anatomical52")
@@ -48,14 +47,8 @@ def rows(job: tuple[int, MocapClip]) -> list[dict[str, Any]]:
     for sensors in SENSORS:
         worn = harness.SENSOR_SETS.get(sensors, ())
         for case, errors in CASES.items():
-            recording = simulate(
-                clip.poses,
-                clip.joint_offsets,
-                camera=standard_cameras(clip.poses, own)[camera],
-                settings=SimulationSettings(replace(errors, who=zlib.crc32(clip.subject.encode())), sensors=worn),
-                seed=own + camera,
-                name=clip.name,
-            )
+            settings = SimulationSettings(replace(errors, who=zlib.crc32(clip.subject.encode())), sensors=worn)
+            recording = harness.filmed(clip, own, camera, settings)
             mode = "rtof" if worn else "rto"
             with without_warnings(RESULT_WARNINGS):
                 result = reconstruct(recording, mode=mode)
@@ -88,8 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args(arguments)
     jobs = list(enumerate(harness.test_clips(options.corpus)))
-    with ProcessPoolExecutor(options.workers) as pool:
-        found = [row for own in pool.map(rows, jobs) for row in own]
+    found = [row for own in in_parallel(rows, jobs, options.workers) for row in own]
     about = (__doc__ or "").partition("\n\n")[2]
     text = f"# Anatomical points\n\n{about}\n{table(found)}"
     options.out.write_text(text, encoding="utf-8")

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,13 +19,12 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from rich.progress import track
 
 from benchmarks import clocks_real, harness
 from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import with_late_video
 from benchmarks.clocks_headings import filmed
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from benchmarks.confidence.cases import turn_error
 from benchmarks.verdicts.scores import area, rank_correlation
 from rtof_kin.body.metrics import at_times
@@ -283,8 +281,7 @@ def main(arguments: list[str] | None = None) -> None:
         for i, clip in enumerate(clips[:: 1 if fault == "none" else 2])
         for sensors in SENSORS
     ]
-    with ProcessPoolExecutor(2) as pool:
-        rows = [row for row in track(pool.map(measured, jobs), "recordings", len(jobs)) if row is not None]
+    rows = [row for row in in_parallel(measured, jobs) if row is not None]
     right = [row for row in rows if row["fault"] == "none"]
     about = (__doc__ or "").partition("\n\n")[2]
     text = "\n".join(["# Certificates of held-out people and rigs\n", about, table(right), fault_table(rows)])

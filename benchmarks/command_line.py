@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rich.progress import track
 
@@ -29,6 +30,11 @@ def study_parser(study: str, about: str | None, motion: bool = True, page: str =
     if page:
         parser.add_argument("--out", type=Path, default=RESULTS / page.format(study.replace(".", "_")))
     return parser
+
+
+def rounded(value: Any, digits: int = 6) -> Any:
+    """The same as JSON has it, with so many significant digits: plenty in a file."""
+    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.{digits}g}"))
 
 
 def in_parallel(function: Callable[[Job], Found], jobs: Iterable[Job], workers: int = 2) -> list[Found]:

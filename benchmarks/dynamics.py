@@ -19,17 +19,15 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 from scipy.optimize import least_squares
 
 from benchmarks import harness
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from benchmarks.range_bands import clips
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import at_times
@@ -231,9 +229,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     os.environ["OMP_NUM_THREADS"] = "1"
     chosen = cases(options.corpus, options.fit)
-    with ProcessPoolExecutor(options.workers) as pool:
-        done = track(pool.map(run, chosen), total=len(chosen), description="motions x sensors")
-        found = [one for one in done if one is not None]
+    found = [one for one in in_parallel(run, chosen, options.workers) if one is not None]
     rows = tabulated(found)
     if options.fit:
         for name, spectrum in fitted(found).items():

@@ -14,7 +14,6 @@ camera neither heading nor place means anything. Of the file alone the points of
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -238,8 +237,8 @@ def main(arguments: list[str] | None = None) -> None:
     out = options.out or harness.HERE / "results" / name
     clips = harness.test_clips(options.corpus)[:: 1 if options.without_video else 3]
     jobs = [(i, clip, clips[(i + 1) % len(clips)]) for i, clip in enumerate(clips)]
-    with ProcessPoolExecutor(2) as pool:
-        found = [row for own in pool.map(rows_without_video if options.without_video else rows, jobs) for row in own]
+    function = rows_without_video if options.without_video else rows
+    found = [row for own in in_parallel(function, jobs) for row in own]
     about = (__doc__ or "").partition("\n\n")[2]
     title = "beside sensors, without a video" if options.without_video else "as a second lift"
     pooled = table_without_video(found) if options.without_video else table(found)

@@ -18,17 +18,16 @@ import sys
 import tomllib
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rich.progress import Progress
 
 from benchmarks import scoring
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, rounded, study_parser
 from benchmarks.keypoint_noise import independent, white
 from benchmarks.rerigged import rerigged, t_pose
 from lifting.training.corpus import Corpus
@@ -84,6 +83,14 @@ BANDS = {
         ("rho", "", "rank correlation"),
     )
 }
+
+
+@cache
+def lifter(path: str | None) -> Any:
+    """A lifter, or the shipped one, read once."""
+    from lifting.predict import Lifter
+
+    return Lifter.load(path)
 
 
 @dataclass(frozen=True)
@@ -191,14 +198,13 @@ def recorded(clip: MocapClip, camera: int, kind: str, sensors: tuple[str, ...], 
     """Simulate one of a motion's four cameras and the sensors."""
     # A motion's cameras and noise depend on its name, not on its place in the list.
     own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
-    return simulate(
-        clip.poses,
-        clip.joint_offsets,
-        camera=standard_cameras(clip.poses, own)[camera],
-        settings=replace(KEYPOINTS[kind](), sensors=sensors),
-        seed=own + camera,
-        name=clip.name,
-    )
+    return filmed(clip, own, camera, replace(KEYPOINTS[kind](), sensors=sensors))
+
+
+def filmed(clip: MocapClip, own: int, number: int, settings: SimulationSettings) -> Recording:
+    """Simulate a motion by one of the four cameras, and with the noise, that a number of its own draws."""
+    camera = standard_cameras(clip.poses, own)[number]
+    return simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own + number, name=clip.name)
 
 
 def run(job: Job) -> list[dict[str, Any]]:
@@ -335,12 +341,7 @@ def main(arguments: list[str] | None = None) -> None:
         for clip in clips
         for camera in range(options.cameras)
     ]
-    rows: list[dict[str, Any]] = []
-    with Progress() as progress, ProcessPoolExecutor(options.workers) as pool:
-        task = progress.add_task("motions x cameras", total=len(jobs))
-        for future in as_completed([pool.submit(run, job) for job in jobs]):
-            rows += future.result()
-            progress.advance(task)
+    rows = [row for own in in_parallel(run, jobs, options.workers) for row in own]
     rows = in_order(rows, ("keypoints", "motion", "camera", "mode"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR").replace(str(options.exercises), "CORPUS.npz")
     result = {
@@ -349,12 +350,8 @@ def main(arguments: list[str] | None = None) -> None:
         "rows": rows,
     }
     text = "\n".join(table.markdown() for table in tables(rows))
-    write_results(options.out, json.loads(json.dumps(result), parse_float=_rounded), text)
+    write_results(options.out, rounded(result), text)
     print(text)
-
-
-def _rounded(text: str) -> float:
-    return float(f"{float(text):.6g}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -9,11 +9,9 @@ path since the first frame: at the end, by what was walked and by time.
 
 from __future__ import annotations
 
-import json
 import os
 import zlib
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.__main__ import VALIDATION
-from benchmarks.command_line import study_parser
-from benchmarks.harness import SENSOR_SETS, bootstrap, split, whole_clips
+from benchmarks.command_line import in_parallel, study_parser
+from benchmarks.harness import SENSOR_SETS, bootstrap, split, whole_clips, write_results
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -169,12 +167,10 @@ def main(arguments: list[str] | None = None) -> None:
         for count in SETS
         for clip in motions(options.corpus, options.subset)
     ]
-    with ProcessPoolExecutor(options.workers) as pool:
-        rows = list(pool.map(run, jobs))
+    rows = in_parallel(run, jobs, options.workers)
     found = table(rows)
     content = {"subset": options.subset, "table": found.as_dict(), "rows": rows}
-    options.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(found.markdown(), encoding="utf-8")
+    write_results(options.out, content, found.markdown().removesuffix("\n"))
     print(found.markdown())
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import sys
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from lifting.training.corpus import read_corpus
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -163,8 +162,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = study_parser("known_person", __doc__, motion=False, page="{}.md")
     parser.add_argument("--exercises", type=Path, required=True, help="corpus of models/build_corpus.py")
     options = parser.parse_args(arguments)
-    with ProcessPoolExecutor(2) as pool:
-        rows = [row for own in pool.map(measured, list(people(options.exercises))) for row in own]
+    rows = [row for own in in_parallel(measured, people(options.exercises)) for row in own]
     text = f"# People known from one recording\n\n{table(rows).markdown()}"
     options.out.write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -8,7 +8,6 @@ scene. It writes results/lifter_lookahead.json and .md. Four minutes of one core
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
 from benchmarks.harness import SENSOR_SETS, bootstrap, recorded, split, test_clips, write_results
 from lifting.predict import Lifter
 from lifting.streaming import StreamedPose, StreamingLifter
@@ -234,8 +233,7 @@ def main(arguments: list[str] | None = None) -> None:
             rows += rows_of(clip, i % 4, lifter)
             print(clip.name, file=sys.stderr)
     text = text_of(rows)
-    short = json.loads(json.dumps(rows), parse_float=lambda value: float(f"{float(value):.5g}"))
-    write_results(options.out, short, text)
+    write_results(options.out, rounded(rows, 5), text)
     print(text)
 
 

@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from benchmarks.harness import HERE
 from rtof_kin.body import metrics
 from rtof_kin.clinical.angles import clinical_angles
@@ -101,8 +100,7 @@ def left_out(path: Path) -> list[float]:
 def left_out_table(folder: Path, workers: int) -> str:
     """Prediction errors by marker and person."""
     people = sorted((folder / "ui_prmd").glob("s*.npz"))
-    with ProcessPoolExecutor(workers) as pool:
-        found = list(pool.map(left_out, people))
+    found = in_parallel(left_out, people, workers)
     rows = [[path.stem, *(f"{e:.0f}" for e in errors)] for path, errors in zip(people, found, strict=True)]
     rows.append(["all, rms", *(f"{e:.0f}" for e in np.sqrt(np.mean(np.square(found), axis=0)))])
     return table("Left-out markers of eight adults, mm", ("person", *LEFT_OUT), rows)

@@ -15,17 +15,15 @@ import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 from scipy.stats import spearmanr
 
 from benchmarks import harness
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
 from rtof_kin.body.kinematics import shared_frames
@@ -207,10 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--no-library", action="store_true", help="only the same movement")
     options = parser.parse_args(arguments)
     chosen = [case for case in cases(options.corpus, options.split) if not (options.no_library and case.library)]
-    rows: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(options.workers) as pool:
-        for found in track(pool.map(run, chosen), total=len(chosen), description="motions x sensors"):
-            rows += found
+    rows = [row for own in in_parallel(run, chosen, options.workers) for row in own]
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = f"`python -m benchmarks plan {words}`\n\n{table(rows)}"
     harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text)

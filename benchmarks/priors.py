@@ -9,7 +9,6 @@ nine of ten.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import in_parallel, study_parser
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.simulation.mocap import MocapClip
@@ -52,8 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     clips = harness.test_clips(options.corpus)
     jobs = list(enumerate(clips + (harness.exercise_clips(options.exercises) if options.exercises else [])))
-    with ProcessPoolExecutor(options.workers) as pool:
-        found = [row for own in pool.map(partial(rows, options.priors), jobs) for row in own]
+    found = [row for own in in_parallel(partial(rows, options.priors), jobs, options.workers) for row in own]
     heads = ["sensors", "prior", *FIGURES.values(), "not worse than shipped", "worst", "best", "by rig, rr mm"]
     lines = ["# The pose prior alone exchanged", "", "| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for sensors in ("8", "10"):

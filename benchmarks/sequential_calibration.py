@@ -48,7 +48,7 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
+from rtof_kin.simulation.simulate import SimulationSettings
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -126,14 +126,7 @@ def recorded(clip: MocapClip, case: Case) -> tuple[Recording, Truths]:
     detector = DetectorErrors(delay_frames=(2 if case.case == "usual" else 0,))
     own = zlib.crc32(clip.name.encode())
     settings = SimulationSettings(keypoints=detector, sensors=harness.SENSOR_SETS["8"])
-    recording = simulate(
-        clip.poses,
-        clip.joint_offsets,
-        camera=standard_cameras(clip.poses, own)[case.camera],
-        settings=settings,
-        seed=own + case.camera,
-        name=clip.name,
-    )
+    recording = harness.filmed(clip, own, case.camera, settings)
     rng = np.random.default_rng([own, case.camera])
     wrong: planting.Wrong = {}
     if case.case == "planted":

@@ -19,19 +19,15 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
-from typing import Any
-
-from rich.progress import Progress
 
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.accuracy.rows import Job, Row, run
 from benchmarks.accuracy.tables import TABLES, failures
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
 from benchmarks.harness import HERE
-from rtof_kin.core.errors import RtofError
 from rtof_kin.protocols.tables import Table
 from rtof_kin.simulation.mocap import MocapClip
 
@@ -58,31 +54,15 @@ def jobs(table: str, motions: Sequence[MocapClip], options: argparse.Namespace) 
     ]
 
 
-def _rounded(value: Any) -> Any:
-    """The same as JSON has it; six significant digits are plenty in a file."""
-    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
-
-
-def measure(table: str, work: Sequence[Job], kept: RowFile, workers: int) -> list[Row]:
-    """Rows of all jobs in their order; those done earlier are taken from the file."""
-    left = [job for job in work if job.key not in kept.rows]
-    with Progress() as progress, ProcessPoolExecutor(workers) as pool:
-        task = progress.add_task(table, total=len(work), completed=len(work) - len(left))
-        futures = {pool.submit(run, job): job for job in left}
-        try:
-            for future in as_completed(futures):
-                kept.add(futures[future].key, _rounded(future.result()))
-                progress.advance(task)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [row for job in work for row in kept.rows[job.key]]
+def _run(job: Job) -> list[Row]:
+    rows: list[Row] = rounded(run(job))
+    return rows
 
 
 def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -> str:
     """Write the JSON, a line a row, and the Markdown beside it; the Markdown."""
     text = "\n".join([*(table.markdown() for table in tables), *failures(rows)])
-    content = facts | {"tables": _rounded({t.name: t.as_dict() for t in tables})}
+    content = facts | {"tables": rounded({t.name: t.as_dict() for t in tables})}
     body = json.dumps(content, indent=1)[:-2]
     lines = ",\n".join("  " + json.dumps(row) for row in rows)
     out.with_suffix(".json").write_text(f'{body},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
@@ -104,11 +84,8 @@ def main(arguments: list[str] | None = None) -> None:
         out = options.out / (name + ("_some" if options.motions or options.cameras != 4 else ""))
         work = jobs(table, motions, options)
         version = version_of(table, [job.key for job in work], options.seed, options.lifter)
-        try:
-            kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
-        except RtofError as error:
-            sys.exit(f"error: {error}")
-        rows = measure(table, work, kept, options.workers)
+        kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
+        rows = kept.collect({job.key: partial(_run, job) for job in work}, options.workers)
         facts = {
             "command": _command(sys.argv[1:] if arguments is None else arguments, options),
             "version": version,

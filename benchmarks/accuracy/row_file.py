@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+
+from rich.progress import Progress
 
 import rtof_kin
 from benchmarks.accuracy.rows import Row
@@ -41,6 +45,21 @@ class RowFile:
         self.rows[job] = rows
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"job": job, "rows": rows}) + "\n")
+
+    def collect(self, work: Mapping[str, Callable[[], list[Row]]], workers: int) -> list[Row]:
+        """Rows of all jobs in their order, of several processes; those done earlier are taken from the file."""
+        left = {job: function for job, function in work.items() if job not in self.rows}
+        with Progress() as progress, ProcessPoolExecutor(workers) as pool:
+            task = progress.add_task("recordings", total=len(work), completed=len(work) - len(left))
+            futures = {pool.submit(function): job for job, function in left.items()}
+            try:
+                for future in as_completed(futures):
+                    self.add(futures[future], future.result())
+                    progress.advance(task)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        return [row for job in work for row in self.rows[job]]
 
 
 def version_of(*options: object) -> str:

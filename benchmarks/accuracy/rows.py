@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -98,7 +97,7 @@ class Scene:
 
     def _prepare(self, case: Case) -> Prepared:
         recording = self._recorded(case)
-        lifter = _lifter(self._job.lifter)
+        lifter = harness.lifter(self._job.lifter)
         # Sensors that disagree are found by solving.
         inertial = "rtof" if self._job.table == "robustness" else "sf2"
         mode = "lift" if recording.imus is None else inertial
@@ -136,13 +135,6 @@ class Scene:
             job, names = self._job, tuple(dict.fromkeys(n for s in SENSOR_SETS.values() for n in s))
             self._recordings[kind] = harness.recorded(job.clip, job.camera, kind, names, job.seed)
         return self._recordings[kind]
-
-
-@cache
-def _lifter(path: str | None) -> Any:
-    from lifting.predict import Lifter
-
-    return Lifter.load(path)
 
 
 def run(job: Job) -> list[Row]:

@@ -15,7 +15,6 @@ import json
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -31,7 +30,6 @@ from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.simulate import simulate, standard_cameras
 
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "angle deg"}
 VALIDATION = ("131_01", "131_02", "131_03", "08_04", "08_11")
@@ -66,22 +64,7 @@ def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) 
             imu=replace(settings.imu, misalignment_deg=0.0),
             video_lag_frames=(0.0, 0.0),
         )
-    own = zlib.crc32(clip.name.encode())
-    return simulate(
-        clip.poses,
-        clip.joint_offsets,
-        camera=standard_cameras(clip.poses, own)[camera],
-        settings=settings,
-        seed=own + camera,
-        name=clip.name,
-    )
-
-
-@cache
-def _lifter(path: str | None) -> Any:
-    from lifting.predict import Lifter
-
-    return Lifter.load(path)
+    return harness.filmed(clip, zlib.crc32(clip.name.encode()), camera, settings)
 
 
 def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[Row]:
@@ -92,7 +75,9 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
         began = process_time()
         if case == "known":
             given = SelfCalibration(())  # nothing to put right
-        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given)
+        result = reconstruct(
+            recording, lifter=harness.lifter(lifter), calibrate=case == "calibrated", calibration=given
+        )
         assert result.metrics is not None
         out.append(
             {

@@ -11,7 +11,6 @@ preparation is shared. An interrupted run resumes where it stopped.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -32,7 +31,6 @@ from rtof_kin.calibration.estimate import calibrate
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.calibration.shared_fragments import Slice
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import RtofError
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Job as Reconstructing
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -207,10 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(report([row for line in lines for row in json.loads(line)["rows"]]))
         return
     settings, lifter = [float(s) for s in options.settings.split(",")], Lifter.load(None)
-    try:
-        file = RowFile(options.out, version_of(settings), options.restart)
-    except RtofError as error:
-        sys.exit(f"error: {error}")
+    file = RowFile(options.out, version_of(settings), options.restart)
     for job in jobs(options.rounds):
         if job.key not in file.rows:
             file.add(job.key, rows(options.corpus, job, settings, lifter))

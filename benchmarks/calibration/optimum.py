@@ -9,7 +9,6 @@ whether the truth is more likely than the estimate.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 
 import numpy as np
@@ -17,6 +16,7 @@ from rich.progress import track
 
 from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
 from benchmarks.command_line import study_parser
+from benchmarks.harness import write_results
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
 from rtof_kin.calibration.shared_fragments import SharedFragments, Slice
@@ -99,9 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
         right, wrong, given = recorded(clip, job)
         rows.append(row(given, truths(right, wrong), job, lifter))
     text = report(rows)
-    numbers = json.dumps({"subset": options.subset, "rows": rows}, indent=1)
-    options.out.write_text(numbers, encoding="utf-8")
-    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    write_results(options.out, {"subset": options.subset, "rows": rows}, text.removesuffix("\n"))
     print(text)
 
 

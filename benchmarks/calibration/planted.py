@@ -36,7 +36,6 @@ from benchmarks.calibration.planted_rows import (
 )
 from benchmarks.calibration.planting import ERRORS
 from benchmarks.command_line import study_parser
-from rtof_kin.core.errors import RtofError
 
 
 def jobs(subset: str, studies: list[str], seconds: float, cameras: int) -> Iterator[Job]:
@@ -99,10 +98,7 @@ def measured(options: argparse.Namespace) -> list[Row]:
     """Rows of all jobs, from the file or made now."""
     own = [Path(__file__).with_name(f"{n}.py").read_bytes() for n in ("planting", "planted_rows")]
     version = version_of(options.subset, options.lifter, *own)
-    try:
-        file = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
-    except RtofError as error:
-        sys.exit(f"error: {error}")
+    file = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
     wanted = {}
     for job in jobs(options.subset, options.studies.split(","), options.seconds, options.cameras):
         wanted.setdefault(job.key, job)

@@ -21,7 +21,6 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.simulate import simulate, standard_cameras
 
 Row = dict[str, Any]
 FIGURES = ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg")
@@ -131,11 +130,7 @@ def right(clip: MocapClip, job: Job) -> Recording:
         imu=replace(settings.imu, misalignment_deg=0.0),
         video_lag_frames=(0.0, 0.0),
     )
-    own = zlib.crc32(clip.name.encode())
-    camera = standard_cameras(clip.poses, own)[job.camera]
-    recording = simulate(
-        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own + job.camera, name=clip.name
-    )
+    recording = harness.filmed(clip, zlib.crc32(clip.name.encode()), job.camera, settings)
     return replace(recording, floor_height=0.0 if job.floor else None)
 
 
@@ -146,26 +141,19 @@ def recorded(clip: MocapClip, job: Job) -> tuple[Recording, Wrong, Recording]:
     return recording, wrong, planting.planted(recording, wrong)
 
 
-@cache
-def _lifter(path: str | None) -> Any:
-    from lifting.predict import Lifter
-
-    return Lifter.load(path)
-
-
 def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     """Plant, reconstruct, calibrate and reconstruct again; of errors planted alone without a floor,
     calibrate only."""
     recording, wrong, given = recorded(clip, job)
     out: Row = {**vars(job), "frames": len(recording.video)}
     if job.case == KNOWN:  # as one that was calibrated, with nothing left to correct
-        known = reconstruct(given, lifter=_lifter(lifter), calibration=SelfCalibration(()))
+        known = reconstruct(given, lifter=harness.lifter(lifter), calibration=SelfCalibration(()))
         return {**out, "before": _figures(known.metrics)}
-    calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
+    calibration = calibrate_recording(given, None, job.priors, lifter=harness.lifter(lifter))
     out |= {"converged": calibration.converged, "found": found(calibration, truths(recording, wrong))}
     if job.case not in ERRORS or job.floor:
         for stage, found_before in {"before": None, "after": calibration}.items():
-            made = reconstruct(given, lifter=_lifter(lifter), calibrate=False, calibration=found_before)
+            made = reconstruct(given, lifter=harness.lifter(lifter), calibrate=False, calibration=found_before)
             out[stage] = _figures(made.metrics)
     return out
 

@@ -12,12 +12,11 @@ import argparse
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.progress import track
 
 from benchmarks import harness
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
 from benchmarks.confidence import motions
 from benchmarks.confidence.cases import EVERY, KINDS, SENSORS, Case, reconstructed
 from benchmarks.confidence.curves import Curve, coverage, curve_factors, curves, section, split_file
@@ -120,11 +119,11 @@ def write(cases: Sequence[Case], of_curves: Sequence[Curve], out: Path, how: str
     found, rigs = rows(cases, shipped), sharpness(cases, shipped)
     text = report(found, how) + "\n" + by_rig(rigs)
     out.parent.mkdir(parents=True, exist_ok=True)
-    tables = {"rows": _rounded(found), "rigs": _rounded(rigs)}
+    tables = {"rows": rounded(found, 4), "rigs": rounded(rigs, 4)}
     if shipped.curves is not None and of_curves:
         covered = coverage(of_curves, shipped.curves)
         text += "\n" + section(covered, shipped.curves)
-        tables["curves"] = _rounded(covered)
+        tables["curves"] = rounded(covered, 4)
     lines = [
         f'"{name}": [\n' + ",\n".join(" " + json.dumps(row, default=float) for row in table) + "\n]"
         for name, table in tables.items()
@@ -133,11 +132,6 @@ def write(cases: Sequence[Case], of_curves: Sequence[Curve], out: Path, how: str
     out.with_suffix(".md").write_text(text, encoding="utf-8")
     reliability(found, out.with_suffix(".png"))
     print(text)
-
-
-def _rounded(value: Any) -> Any:
-    """Four significant digits are plenty in a file."""
-    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.4g}"))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -13,7 +13,6 @@ import argparse
 import hashlib
 import json
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -82,29 +81,26 @@ def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     options = _parser().parse_args(arguments)
     lifters = tuple(options.lifter or [""])
-    try:
-        names = names_of(lifters)
-        motions = clips(options.corpus, options.subset)
-        known = [clip.name for clip in motions]
-        if unknown := sorted(set(options.motions) - set(known)):
-            raise RtofError(f"no motion {', '.join(unknown)}; there are {', '.join(known)}")
-        work = [
-            Job(clip, placement, options.seed, lifters)
-            for clip in motions
-            if not options.motions or clip.name in options.motions
-            for placement in PLACEMENTS
-        ]
-        out = options.out / ("lifter" + _suffix(options))
-        digests = {name: load(path).sha256 for name, path in zip(names, lifters, strict=True)}
-        version = version_of(_sources(), [job.key for job in work], options.seed, digests)
-        kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
-        rows = measure(work, kept, options.workers)
-        first = first_seeds(measured(rows))
-        tables = [*(table(first) for table in TABLES), seeds(measured(rows))]
-        curves = [path for path in (Path(f"{file}.curves.json") for file in lifters) if path.is_file()]
-        write_figure(out.with_suffix(".png"), first, [*curves, *options.curves])
-    except RtofError as error:
-        sys.exit(f"error: {error}")
+    names = names_of(lifters)
+    motions = clips(options.corpus, options.subset)
+    known = [clip.name for clip in motions]
+    if unknown := sorted(set(options.motions) - set(known)):
+        raise RtofError(f"no motion {', '.join(unknown)}; there are {', '.join(known)}")
+    work = [
+        Job(clip, placement, options.seed, lifters)
+        for clip in motions
+        if not options.motions or clip.name in options.motions
+        for placement in PLACEMENTS
+    ]
+    out = options.out / ("lifter" + _suffix(options))
+    digests = {name: load(path).sha256 for name, path in zip(names, lifters, strict=True)}
+    version = version_of(_sources(), [job.key for job in work], options.seed, digests)
+    kept = RowFile(out.with_suffix(".jsonl"), version, options.restart)
+    rows = measure(work, kept, options.workers)
+    first = first_seeds(measured(rows))
+    tables = [*(table(first) for table in TABLES), seeds(measured(rows))]
+    curves = [path for path in (Path(f"{file}.curves.json") for file in lifters) if path.is_file()]
+    write_figure(out.with_suffix(".png"), first, [*curves, *options.curves])
     facts = {
         "command": _command(options, names),
         "version": version,

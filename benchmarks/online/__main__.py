@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import os
 import sys
@@ -18,7 +17,7 @@ from types import ModuleType
 from typing import Any
 
 from benchmarks import harness
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
 from benchmarks.online import accuracy, figure, soak, speed
 
 STUDIES: dict[str, ModuleType] = {"accuracy": accuracy, "soak": soak, "speed": speed}
@@ -34,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     tables = study.tables(rows)
     out = options.out or harness.HERE / "results" / f"online_{options.study}.json"
     text = "\n".join(table.markdown() for table in tables)
-    content = {"command": _command(words, options), "rows": _rounded(rows)}
+    content = {"command": _command(words, options), "rows": rounded(rows)}
     harness.write_results(out, content, text.rstrip())
     _draw(options.study, rows, out.with_suffix(".png"))
     print(text)
@@ -49,10 +48,6 @@ def _draw(study: str, rows: list[dict[str, Any]], path: Path) -> None:
 
 def _command(words: list[str], options: argparse.Namespace) -> str:
     return "python -m benchmarks online " + " ".join(words).replace(str(options.corpus), "DIR")
-
-
-def _rounded(value: Any) -> Any:
-    return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from benchmarks import harness, scoring
 from benchmarks.accuracy.row_file import RowFile, version_of
@@ -115,12 +113,7 @@ def rows_of(options: Namespace) -> list[dict[str, Any]]:
     sources = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     version = version_of(sources, lags, options.confidence, options.seconds)
     kept = RowFile(Path(options.work) / f"rows_{version[:12]}.jsonl", version)
-    left = [job for job in work if job.key not in kept.rows]
-    with ProcessPoolExecutor(options.workers) as pool:
-        futures = {pool.submit(one, job): job for job in left}
-        for future in track(as_completed(futures), "recordings", total=len(left)):
-            kept.add(futures[future].key, future.result())
-    rows = [row for job in work for row in kept.rows[job.key]]
+    rows = kept.collect({job.key: partial(one, job) for job in work}, options.workers)
     return sorted(rows, key=lambda r: (int(r["sensors"]), r["motion"], r["camera"], r["estimate"], r["lag"]))
 
 

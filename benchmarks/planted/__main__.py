@@ -8,24 +8,19 @@ they come: an interrupted run resumes where it stopped.
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 
-from rich.progress import Progress
-
 from benchmarks.accuracy.row_file import RowFile, version_of
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
 from benchmarks.harness import write_results
 from benchmarks.planted.faults import FAULTS, RIGHT
 from benchmarks.planted.gross import GROSS
-from benchmarks.planted.measuring import Row, measured
+from benchmarks.planted.measuring import measured
 from benchmarks.planted.recordings import Scene, scenes
 from benchmarks.planted.tables import markdown, totals
-from rtof_kin.core.errors import RtofError
 
 
 def others(scene: Scene, known: Sequence[Scene]) -> dict[str, Scene]:
@@ -37,36 +32,6 @@ def others(scene: Scene, known: Sequence[Scene]) -> dict[str, Scene]:
             other = Scene(one.clip, scene.sensors, scene.floor, scene.seed)
             found.setdefault("same person" if same else "another person", other)
     return found
-
-
-def collected(
-    chosen: Sequence[Scene],
-    known: Sequence[Scene],
-    names: list[str],
-    with_faults: int,
-    calibrate: bool,
-    kept: RowFile,
-    workers: int,
-) -> list[Row]:
-    """Rows of all recordings in their order; those done earlier are taken from the file."""
-    left = [(i, scene) for i, scene in enumerate(chosen) if scene.key not in kept.rows]
-    right = [name for name in names if name in RIGHT]
-    with Progress() as progress, ProcessPoolExecutor(workers) as pool:
-        task = progress.add_task("recordings", total=len(chosen), completed=len(chosen) - len(left))
-        futures = {
-            pool.submit(
-                measured, scene, names if i < with_faults else right, others(scene, known), calibrate
-            ): scene.key
-            for i, scene in left
-        }
-        try:
-            for future in as_completed(futures):
-                kept.add(futures[future], future.result())
-                progress.advance(task)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [row for scene in chosen for row in kept.rows[scene.key]]
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -87,11 +52,12 @@ def main(arguments: list[str] | None = None) -> None:
     chosen, names = known[:count], options.faults or [*RIGHT, *FAULTS, *GROSS]
     own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     version = version_of(own, names, options.motions, options.calibrate, options.seed)
-    try:
-        kept = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
-    except RtofError as error:
-        sys.exit(f"error: {error}")
-    rows = collected(chosen, known, names, options.motions, options.calibrate, kept, options.workers)
+    kept = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
+    right, work = [name for name in names if name in RIGHT], {}
+    for i, scene in enumerate(chosen):
+        given = names if i < options.motions else right
+        work[scene.key] = partial(measured, scene, given, others(scene, known), options.calibrate)
+    rows = kept.collect(work, options.workers)
     people = len({scene.clip.subject for scene in chosen})
     how = (
         f"`python -m benchmarks planted`: {len(chosen)} recordings of {people} people whom nothing was "
@@ -99,8 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         "sensors in turn."
     )
     text = markdown(rows, how)
-    plain = json.loads(json.dumps(totals(rows)), parse_float=lambda number: float(f"{float(number):.4g}"))
-    write_results(options.out, {"how": how, "totals": plain}, text)
+    write_results(options.out, {"how": how, "totals": rounded(totals(rows), 4)}, text)
     print(text)
 
 

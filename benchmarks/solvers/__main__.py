@@ -7,7 +7,6 @@ other work shows longer times. ``--quick`` looks at little of everything, in a m
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from dataclasses import asdict
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.command_line import study_parser
+from benchmarks.harness import write_results
 from benchmarks.peers.fragments import Material
 from benchmarks.solvers.alone import build_times, by_duration, by_length, by_settings
 from benchmarks.solvers.measuring import Effort, Notify
@@ -62,10 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
     }
     command = "python -m benchmarks solvers" + (" --quick" if options.quick else "")
     result = {"command": command, "machine": machine, "effort": asdict(effort), **measured}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     text = markdown(result)
-    options.out.with_suffix(".md").write_text(text, encoding="utf-8")
+    write_results(options.out, result, text.removesuffix("\n"))
     figure(result, options.out.with_suffix(".png"))
     print(text)
 

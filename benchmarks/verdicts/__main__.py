@@ -8,64 +8,37 @@ resumes where it stopped.
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.progress import Progress
-
 from benchmarks.accuracy.row_file import RowFile, version_of
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import rounded, study_parser
+from benchmarks.harness import write_results
 from benchmarks.verdicts.measuring import Row, measured
 from benchmarks.verdicts.recordings import SAMPLED, SIMULATED, Job, held_out_clips, jobs
 from benchmarks.verdicts.tables import draw, tables
-from rtof_kin.core.errors import RtofError
 from rtof_kin.core.resources import model_path
 
 
-def collected(work: Sequence[Job], kept: RowFile, workers: int) -> list[Row]:
-    """Rows of all jobs in their order; those done earlier are taken from the file."""
-    left = [job for job in work if job.key not in kept.rows]
-    with Progress() as progress, ProcessPoolExecutor(workers) as pool:
-        task = progress.add_task("recordings", total=len(work), completed=len(work) - len(left))
-        futures = {pool.submit(measured, job): job for job in left}
-        try:
-            for future in as_completed(futures):
-                kept.add(futures[future].key, [future.result()])
-                progress.advance(task)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [row for job in work for row in kept.rows[job.key]]
+def _measured(job: Job) -> list[Row]:
+    return [measured(job)]
 
 
 def write(rows: Sequence[Row], out: Path, facts: dict[str, Any]) -> str:
     """Write the tables, their numbers and the figure; the tables as Markdown."""
     failed = [f"{row['motion']}, {row['fault']}: {row['failed']}" for row in rows if "failed" in row]
     shown, numbers = tables([row for row in rows if "failed" not in row])
-    text = "\n".join(
-        [
-            "# Detection of bad frames by sigma and verdicts\n",
-            facts["how"] + "\n",
-            *(table.markdown() for table in shown),
-        ]
-    )
+    title = "# Detection of bad frames by sigma and verdicts\n"
+    text = "\n".join([title, facts["how"] + "\n", *(table.markdown() for table in shown)])
     if failed:
         text += "\n".join(["\nNot reconstructed:\n", *(f"- {line}" for line in failed)]) + "\n"
-    content = json.loads(json.dumps(facts | numbers | {"failed": failed}), parse_float=_rounded)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.with_suffix(".json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    out.with_suffix(".md").write_text(text, encoding="utf-8")
+    content = rounded(facts | numbers | {"failed": failed}, 4)
+    write_results(out, content, text.removesuffix("\n"))
     draw(numbers["curves"], out.with_suffix(".png"))
     return text
-
-
-def _rounded(text: str) -> float:
-    return float(f"{float(text):.4g}")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -87,11 +60,8 @@ def main(arguments: list[str] | None = None) -> None:
     keys = [job.key for job in work]
     own.append(model_path("confidence.toml").read_text(encoding="utf-8"))
     version = version_of(own, keys, options.seed)
-    try:
-        kept = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
-    except RtofError as error:
-        sys.exit(f"error: {error}")
-    rows = collected(work, kept, options.workers)
+    kept = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
+    rows = kept.collect({job.key: partial(_measured, job) for job in work}, options.workers)
     people = len({job.clip.subject for job in work})
     how = (
         f"`python -m benchmarks verdicts`: {len(clips)} motions of {people} people whom the confidence "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.lift import shipped_lifter
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit import audit
@@ -54,7 +54,7 @@ def measured(job: Job) -> Row:
     try:
         recording = job.recording()
         inertial = recording.imus is not None
-        result = reconstruct(recording, mode="rtof" if inertial else "rto", lifter=_lifter(), calibrate=inertial)
+        result = reconstruct(recording, mode="rtof" if inertial else "rto", lifter=shipped_lifter(), calibrate=inertial)
     except RtofError as error:  # reported in the table, instead of losing the other recordings
         return _about(job) | {"failed": str(error)}
     return row_of(job, result)
@@ -165,10 +165,3 @@ def verdict(result: Reconstruction) -> dict[str, float]:
 def _short(column: Array) -> list[float | None]:
     """Convert to JSON values: four digits, null where unknown."""
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in column]
-
-
-@cache
-def _lifter() -> Any:
-    from lifting.predict import Lifter
-
-    return Lifter.load()

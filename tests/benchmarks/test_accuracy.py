@@ -171,7 +171,7 @@ def test_a_tenth_of_the_packets_is_lost(name: str, longest: int) -> None:
 @pytest.fixture
 def lifter(monkeypatch: pytest.MonkeyPatch) -> planted.PlantedLifter:
     own = planted.PlantedLifter(MOTION)
-    monkeypatch.setattr(scoring, "_lifter", lambda path: own)
+    monkeypatch.setattr(scoring.harness, "lifter", lambda path: own)
     return own
 
 
@@ -227,7 +227,7 @@ def test_a_job_gives_a_row_for_each_stage_and_the_error_of_a_case_that_fails(
     assert rows[-1]["error"] == "the planted fault"
     assert 0 <= rows[3]["converged"] <= 1
     assert tables.failures(rows) == ["FAILED: moving, camera 0, white, broken: the planted fault"]
-    assert json.loads(json.dumps(command._rounded(rows)))[3]["mode"] == "rtof"
+    assert json.loads(json.dumps(command.rounded(rows)))[3]["mode"] == "rtof"
 
 
 @pytest.mark.parametrize("as_given", [True, False])

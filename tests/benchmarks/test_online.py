@@ -16,7 +16,6 @@ from benchmarks.online.speed import Spent, drift_mb_per_hour
 from benchmarks.online.streams import frozen, portions, setup_of
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.replay import Faults
 from rtof_kin.live.samples import FrameSample, OnlineEstimate, Sample
 from rtof_kin.recording.recording import Recording
