@@ -135,8 +135,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
     command = "python -m benchmarks calibration_by_pose --corpus DIR"
     result = {"command": command, "seed": SEED, "rows": rows}
-    write_results(options.out, result, table(rows))
-    print(table(rows))
+    print(write_results(options.out, result, table(rows)))
 
 
 if __name__ == "__main__":

@@ -285,8 +285,7 @@ def main(arguments: list[str] | None = None) -> None:
     right = [row for row in rows if row["fault"] == "none"]
     about = (__doc__ or "").partition("\n\n")[2]
     text = "\n".join(["# Certificates of held-out people and rigs\n", about, table(right), fault_table(rows)])
-    harness.write_results(options.out, [], text)
-    print(text)
+    print(harness.write_results(options.out, [], text))
 
 
 if __name__ == "__main__":

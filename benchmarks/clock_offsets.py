@@ -76,8 +76,7 @@ def main(arguments: list[str] | None = None) -> None:
         counts = [sum(bool(row[key]) for row in own) for key in ("corrected", "named", "left out")]
         moved = np.median([float(row["moved_ms"]) for row in own])
         lines.append(f"| {name} | {len(own)} | {' | '.join(map(str, counts))} | {moved:.0f} |")
-    write_results(options.out, found, "\n".join(lines))
-    print("\n".join(lines))
+    print(write_results(options.out, found, "\n".join(lines)))
 
 
 if __name__ == "__main__":

@@ -432,9 +432,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--clocks-only", action="store_true", help="without headings, in two minutes")
     options = parser.parse_args(arguments)
     result = measure(options.corpus, not options.clocks_only, options.out)
-    text = text_of(result)
-    write_results(options.out, result, text)
-    print(text)
+    print(write_results(options.out, result, text_of(result)))
 
 
 if __name__ == "__main__":

@@ -188,8 +188,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows: list[dict[str, Any]] = [
         {"motion": one.motion, "case": one.case, "by": one.by, "changed": one.changed} for one in same + changed
     ]
-    write_results(options.out, rows, text)
-    print(text)
+    print(write_results(options.out, rows, text))
 
 
 if __name__ == "__main__":

@@ -173,8 +173,7 @@ def main(arguments: list[str] | None = None) -> None:
         "clips": [clip.name for clip in clips],
         "rows": rows,
     }
-    write_results(options.out, result, table(rows))
-    print(table(rows))
+    print(write_results(options.out, result, table(rows)))
 
 
 if __name__ == "__main__":

@@ -242,8 +242,7 @@ def main(arguments: list[str] | None = None) -> None:
         f"`python -m benchmarks dynamics {words}`: {motions} motions of {people} people, "
         f"{KG:g} kg, root mean squares over frames and axes.\n\n{table(rows)}"
     )
-    harness.write_results(options.out, {"command": words, "rows": rows}, text)
-    print(text)
+    print(harness.write_results(options.out, {"command": words, "rows": rows}, text))
 
 
 if __name__ == "__main__":

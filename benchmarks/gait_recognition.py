@@ -145,9 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser("gait_recognition", __doc__)
     options = parser.parse_args(arguments)
     rows = list(judged(options.corpus))
-    text = tables(rows)
-    write_results(options.out, rows, text)
-    print(text)
+    print(write_results(options.out, rows, tables(rows)))
 
 
 if __name__ == "__main__":

@@ -232,8 +232,7 @@ def main(arguments: list[str] | None = None) -> None:
     measured(2 * sessions, LONG_CASES, ("8",), file)  # two cameras each
     rows = [row for own in file.rows.values() for row in own]
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
-    harness.write_results(options.out, {"seconds": options.seconds, "rows": rows}, text)
-    print(text)
+    print(harness.write_results(options.out, {"seconds": options.seconds, "rows": rows}, text))
 
 
 if __name__ == "__main__":

@@ -263,8 +263,8 @@ def pooled(
     return figures
 
 
-def write_results(path: Path, data: Any, text: str) -> None:
-    """Write what a benchmark found.
+def write_results(path: Path, data: Any, text: str) -> str:
+    """Write what a benchmark found; return the text.
 
     Args:
         path: of the JSON; the Markdown is written beside it. data: as JSON. text: as Markdown.
@@ -272,6 +272,7 @@ def write_results(path: Path, data: Any, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     path.with_suffix(".md").write_text(text + "\n", encoding="utf-8")
+    return text
 
 
 def bootstrap(units: Sequence[Any], values: ArrayLike, weights: ArrayLike) -> list[float]:
@@ -350,8 +351,7 @@ def main(arguments: list[str] | None = None) -> None:
         "rows": rows,
     }
     text = "\n".join(table.markdown() for table in tables(rows))
-    write_results(options.out, rounded(result), text)
-    print(text)
+    print(write_results(options.out, rounded(result), text))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -232,9 +232,7 @@ def main(arguments: list[str] | None = None) -> None:
         if not options.motions or clip.name in options.motions.split(","):
             rows += rows_of(clip, i % 4, lifter)
             print(clip.name, file=sys.stderr)
-    text = text_of(rows)
-    write_results(options.out, rounded(rows, 5), text)
-    print(text)
+    print(write_results(options.out, rounded(rows, 5), text_of(rows)))
 
 
 if __name__ == "__main__":

@@ -236,8 +236,7 @@ def main(arguments: list[str] | None = None) -> None:
         "summary": summary,
         "rows": rows,
     }
-    write_results(options.out, result, table(summary))
-    print(table(summary))
+    print(write_results(options.out, result, table(summary)))
 
 
 if __name__ == "__main__":

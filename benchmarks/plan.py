@@ -208,8 +208,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [row for own in in_parallel(run, chosen, options.workers) for row in own]
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = f"`python -m benchmarks plan {words}`\n\n{table(rows)}"
-    harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text)
-    print(text)
+    print(harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text))
 
 
 if __name__ == "__main__":

@@ -206,8 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows += ranges
             recordings.append(whole)
     text = report(rows, recordings, options.subset)
-    harness.write_results(options.out, {"ranges": rows, "recordings": recordings}, text)
-    print(text)
+    print(harness.write_results(options.out, {"ranges": rows, "recordings": recordings}, text))
 
 
 if __name__ == "__main__":

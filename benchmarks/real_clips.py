@@ -260,8 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     rows = [row for name, clip in clips(options.data) for row in measure(name, clip)]
     result = {"command": "python -m benchmarks real_clips --data DIR", "rows": rows}
-    write_results(options.out, result, table(rows))
-    print(table(rows))
+    print(write_results(options.out, result, table(rows)))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ import numpy as np
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.calibration import planting
+from benchmarks.calibration.planted_rows import truths as exact
 from benchmarks.calibration.sessions import joined
 from benchmarks.command_line import study_parser
 from benchmarks.defaults import FIGURES, NEGLIGIBLE
@@ -39,7 +40,6 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.calibration.sequential import SequentialCalibration, WindowObservations
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.protocols.tables import Cell, Table
@@ -138,9 +138,7 @@ def recorded(clip: MocapClip, case: Case) -> tuple[Recording, Truths]:
             "heading": {joint: HEADING * rng.standard_normal(1) for joint in sensors},
             "mounting": dict(zip(sensors, MOUNTING * axes, strict=True)),
         }
-    known = planting.unknowns(recording, wrong)
-    for joint, slip in planting.slips(recording).items():
-        known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
+    known = exact(recording, wrong)
     known["delay", "video"] = known["delay", "video"][:1] + (2 / 60 if case.case == "usual" else 0.0)
     truths: Truths = {}
     for (kind, item), value in known.items():
@@ -352,8 +350,7 @@ def main(arguments: list[str] | None = None) -> None:
                     file.add(one.key, list(rows_of(options.corpus, one, lifter)))
     rows = [row for own in file.rows.values() for row in own]
     text = HEAD + "\n".join(table.markdown() for table in tables(rows))
-    harness.write_results(options.out, {"rows": rows}, text)
-    print(text)
+    print(harness.write_results(options.out, {"rows": rows}, text))
 
 
 if __name__ == "__main__":

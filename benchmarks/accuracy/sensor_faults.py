@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -24,26 +25,22 @@ _RAMP = 0.2
 """s that a sensor takes to slip."""
 
 
-def _with_imus(
-    recording: Recording, R_inertial_sensor: Array | None = None, f_sensor: Array | None = None
-) -> Recording:
-    imus = sensors(recording)
-    R = imus.R_inertial_sensor if R_inertial_sensor is None else R_inertial_sensor
-    f = imus.f_sensor if f_sensor is None else f_sensor
-    return replace(recording, imus=replace(imus, R_inertial_sensor=R, f_sensor=f))
-
-
 def sensors(recording: Recording) -> ImuSequence:
     """The sensors of a recording that has some."""
     assert recording.imus is not None
     return recording.imus
 
 
+def with_imus(recording: Recording, **changes: Any) -> Recording:
+    """The sensors with other fields."""
+    return replace(recording, imus=replace(sensors(recording), **changes))
+
+
 def _without(recording: Recording, gone: Mask) -> Recording:
     """The recording without some samples (T, S)."""
     imus = sensors(recording)
     R = np.where(gone[..., None, None], np.nan, imus.R_inertial_sensor)
-    return _with_imus(recording, R, np.where(gone[..., None], np.nan, imus.f_sensor))
+    return with_imus(recording, R_inertial_sensor=R, f_sensor=np.where(gone[..., None], np.nan, imus.f_sensor))
 
 
 def _column(recording: Recording) -> int:
@@ -70,7 +67,7 @@ def with_stuck_sensor(recording: Recording, rng: Generator) -> Recording:
     last = int(np.searchsorted(imus.times, bounds(recording.video.times, SECOND_AFTER_HALF)[0]))
     R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
     R[last:, s], f[last:, s] = R[last, s], f[last, s]
-    return _with_imus(recording, R, f)
+    return with_imus(recording, R_inertial_sensor=R, f_sensor=f)
 
 
 def with_slipped_sensor(recording: Recording, rng: Generator) -> Recording:
@@ -88,7 +85,7 @@ def with_slipped_sensor(recording: Recording, rng: Generator) -> Recording:
     R, f = imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
     R[:, s] = R[:, s] @ turn
     f[:, s] = np.einsum("tji,tj->ti", turn, f[:, s])
-    return _with_imus(recording, R, f)
+    return with_imus(recording, R_inertial_sensor=R, f_sensor=f)
 
 
 def with_turned_heading(recording: Recording, rng: Generator, degrees: Callable[[Array], Array]) -> Recording:
@@ -97,7 +94,7 @@ def with_turned_heading(recording: Recording, rng: Generator, degrees: Callable[
     after = imus.times - bounds(recording.video.times, SECOND_AFTER_HALF)[0]
     R = imus.R_inertial_sensor.copy()
     R[:, s] = so3.about_axis("z", np.radians(degrees(after))) @ R[:, s]
-    return _with_imus(recording, R)
+    return with_imus(recording, R_inertial_sensor=R)
 
 
 def magnet(after: Array) -> Array:
@@ -113,7 +110,7 @@ def drift(after: Array) -> Array:
 def with_saturated_accelerometers(recording: Recording, rng: Generator) -> Recording:
     """All accelerometers, which read 2 g per axis at most."""
     f = np.clip(sensors(recording).f_sensor, -_SATURATED, _SATURATED)
-    return _with_imus(recording, f_sensor=f)
+    return with_imus(recording, f_sensor=f)
 
 
 def with_lost_packets(recording: Recording, rng: Generator) -> Recording:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from statistics import mean, stdev
 
 from benchmarks import harness
+from benchmarks.accuracy.tables import chosen
 from benchmarks.lifter.measures import DIRECTIONS, PARTS, SIGMAS, TORSO, expected_share, gaussian_share
 from benchmarks.lifter.rows import STILL, Row
 from rtof_kin.protocols.tables import Cell, Table, pooled
@@ -20,11 +21,6 @@ ERRORS = {"rr": "mpjpe_rr_mm", "abs": "mpjpe_mm"}
 WORN = {"0": "image only", "8": "+ 8 sensors", "10": "+ 10 sensors"}
 _SEEDED = re.compile(r"(.+)_seed(\d+)(.*)")
 _POOLED = "Means over the frames in which the camera saw enough, pooled over motions and placements."
-
-
-def chosen(rows: Sequence[Row], **wanted: str) -> list[Row]:
-    """The rows in which the fields named have these values."""
-    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
 
 
 def values(rows: Sequence[Row], field: str) -> list[str]:

@@ -64,9 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
         f"fitted on, {min(options.motions, len(chosen))} of them with faults; {options.sensors} "
         "sensors in turn."
     )
-    text = markdown(rows, how)
-    write_results(options.out, {"how": how, "totals": rounded(totals(rows), 4)}, text)
-    print(text)
+    print(write_results(options.out, {"how": how, "totals": rounded(totals(rows), 4)}, markdown(rows, how)))
 
 
 if __name__ == "__main__":

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.random import Generator
 
 from benchmarks.accuracy.faults import with_changed_camera
+from benchmarks.accuracy.sensor_faults import sensors, with_imus
 from benchmarks.accuracy.video_faults import LEGS
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.data.imu import ImuSequence
 from rtof_kin.recording.recording import Recording
 
 Size = float | str
@@ -133,19 +133,9 @@ def height_alone(recording: Recording, factor: float, draws: Draws) -> Recording
 # --- sensors ---------------------------------------------------------------------------------------
 
 
-def _imus(recording: Recording) -> ImuSequence:
-    assert recording.imus is not None
-    return recording.imus
-
-
-def with_imus(recording: Recording, **changes: Any) -> Recording:
-    """The sensors with other fields."""
-    return replace(recording, imus=replace(_imus(recording), **changes))
-
-
 def late(recording: Recording, seconds: float, draws: Draws) -> Recording:
     """The sensors' stamps are late."""
-    return with_imus(recording, times=_late(_imus(recording).times, seconds))
+    return with_imus(recording, times=_late(sensors(recording).times, seconds))
 
 
 def _late(times: Array, seconds: float) -> Array:
@@ -154,7 +144,7 @@ def _late(times: Array, seconds: float) -> Array:
 
 def drift(recording: Recording, share: float, draws: Draws) -> Recording:
     """The sensors' clock runs too fast."""
-    return with_imus(recording, times=_drifting(_imus(recording).times, share))
+    return with_imus(recording, times=_drifting(sensors(recording).times, share))
 
 
 def _drifting(times: Array, share: float) -> Array:
@@ -187,7 +177,7 @@ def turned_sensor(recording: Recording, degrees: float, draws: Draws) -> Recordi
 
 def frozen_sensor(recording: Recording, after: float, draws: Draws) -> Recording:
     """One sensor that repeats one sample with noise after a share of the time."""
-    imus, given = _imus(recording), recording.calibration
+    imus, given = sensors(recording), recording.calibration
     assert given is not None
     s = imus.names.index(given.sensors[_one(recording, draws)[0]])
     R, f, first = imus.R_inertial_sensor.copy(), imus.f_sensor.copy(), round(after * len(imus))
@@ -212,8 +202,8 @@ def _turned_references(horizontal: bool) -> Plant:
 
 def of_another_take(recording: Recording, whose: str, draws: Draws) -> Recording:
     """The sensors and their mounting are those of another take."""
-    other, own = draws.other(whose), _imus(recording)
-    theirs = _imus(other)
+    other, own = draws.other(whose), sensors(recording)
+    theirs = sensors(other)
     n = min(len(theirs), len(own))
     times = own.times[0] + theirs.times[:n] - theirs.times[0]
     return replace(recording, imus=replace(theirs[:n], times=times), calibration=other.calibration)
@@ -221,7 +211,7 @@ def of_another_take(recording: Recording, whose: str, draws: Draws) -> Recording
 
 def ending_sensors(recording: Recording, share: float, draws: Draws) -> Recording:
     """All sensors end after a share of the time."""
-    imus = _imus(recording)
+    imus = sensors(recording)
     draws.start = float(imus.times[0] + share * (imus.times[-1] - imus.times[0]))
     return replace(recording, imus=imus[: round(share * len(imus))])
 
