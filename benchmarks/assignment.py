@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.calibration.sessions import joined
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import study_parser, table_head
 from benchmarks.harness import SENSOR_SETS, mocap_people, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
@@ -226,12 +226,10 @@ def _by_recording(rows: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
 
 
 def _shares(rows: list[dict[str, Any]]) -> list[str]:
-    head = (
-        "| image | sensors | recordings | sensors right % | right but for the side % | "
-        "recordings all right % | recordings said sure % | of these all right % | "
-        "sensors stated 95 % sure % | of these right % |"
+    out = table_head(
+        "image | sensors | recordings | sensors right % | right but for the side % | recordings all right % | "
+        "recordings said sure % | of these all right % | sensors stated 95 % sure % | of these right %"
     )
-    out = [head, "|---" * 10 + "|"]
     for image in (True, False):
         for number in sorted({r["sensors"] for r in rows}):
             own = [r for r in rows if r["image"] == image and r["sensors"] == number]
@@ -255,7 +253,7 @@ def _shares(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _by_rig(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| rig | image | recordings | sensors right % |", "|---|---|---|---|"]
+    out = table_head("rig | image | recordings | sensors right %")
     for rig in sorted({r["rig"] for r in rows}):
         for image in (True, False):
             own = [r for r in rows if r["rig"] == rig and r["image"] == image]
@@ -265,8 +263,9 @@ def _by_rig(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _reliability(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| stated | with image: sensors | mean stated % | right % | without: sensors | mean stated % | right % |"]
-    out.append("|---" * 7 + "|")
+    out = table_head(
+        "stated | with image: sensors | mean stated % | right % | without: sensors | mean stated % | right %"
+    )
     for low, high in pairwise(BINS):
         cells = [f"{100 * low:.0f} to {min(100 * high, 100):.0f} %"]
         for image in (True, False):
@@ -278,8 +277,7 @@ def _reliability(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _faults(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| planted | image | recordings | sensors named % | corrected rightly % | doubt alone % |"]
-    out.append("|---" * 6 + "|")
+    out = table_head("planted | image | recordings | sensors named % | corrected rightly % | doubt alone %")
     for fault in dict.fromkeys(r["fault"] for r in rows):
         for image in sorted({r["image"] for r in rows}, reverse=True):
             own = [r for r in rows if r["fault"] == fault and r["image"] == image]
@@ -297,8 +295,7 @@ def _faults(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _real(rows: list[dict[str, Any]]) -> list[str]:
-    out = ["| recording | segments told | sensors | right | right but for the side | wrong | doubt |"]
-    out.append("|---" * 7 + "|")
+    out = table_head("recording | segments told | sensors | right | right but for the side | wrong | doubt")
     for group in _by_recording(rows):
         first, wrong = group[0], [r for r in group if not _right(r)]
         named = [f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in wrong]

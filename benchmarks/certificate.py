@@ -24,7 +24,7 @@ from benchmarks import clocks_real, harness
 from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import with_late_video
 from benchmarks.clocks_headings import filmed
-from benchmarks.command_line import in_parallel, study_parser
+from benchmarks.command_line import in_parallel, study_parser, table_head
 from benchmarks.confidence.cases import turn_error
 from benchmarks.verdicts.scores import area, rank_correlation
 from rtof_kin.body.metrics import at_times
@@ -163,11 +163,10 @@ def _positions(motion: Motion, truth: PoseSequence) -> tuple[float, float]:
 
 def table(rows: Sequence[Row]) -> str:
     """What certified errors tell of true ones, beside what was stated."""
-    lines = [
-        "| sensors | of the segment without its sensor | recordings, segments | certified, true, stated RMS deg "
-        "| rank correlation (stated) | above 5 deg: area under the curve (stated), share | above 10 deg |",
-        "|---" * 7 + "|",
-    ]
+    lines = table_head(
+        "sensors | of the segment without its sensor | recordings, segments | certified, true, stated RMS deg "
+        "| rank correlation (stated) | above 5 deg: area under the curve (stated), share | above 10 deg"
+    )
     for sensors in SENSORS:
         own = [one for row in rows if row["sensors"] == sensors for one in row["segments"]]
         count = sum(bool(row["segments"]) for row in rows if row["sensors"] == sensors)
@@ -193,11 +192,10 @@ PARTS: Mapping[str, Callable[[Array], Array]] = {
 
 def fault_table(rows: Sequence[Row]) -> str:
     """Bands of the reconstruction with all sensors, as they are and as the certificate would have them."""
-    lines = [
-        "| fault | sensors | recordings | ratio: median, 5 and 95 % | warn, fail | named by a check "
-        "| turns inside 95 % bands | scaled by the certificate | half width deg, scaled | positions: relative, world |",
-        "|---" * 10 + "|",
-    ]
+    lines = table_head(
+        "fault | sensors | recordings | ratio: median, 5 and 95 % | warn, fail | named by a check "
+        "| turns inside 95 % bands | scaled by the certificate | half width deg, scaled | positions: relative, world"
+    )
     for fault in dict.fromkeys(row["fault"] for row in rows):
         for sensors in SENSORS:
             own = [row for row in rows if (row["fault"], row["sensors"]) == (fault, sensors) and row["segments"]]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clocks_headings import REACH, Session, clock_row, filmed, heading_rows
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import study_parser, table_head
 from benchmarks.harness import write_results
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
@@ -98,11 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder of real sensors")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
-    lines = [
-        f"| trial | seconds | clock: error ms (stated), of up to {REACH:g} s | said | headings: median deg, "
-        "largest, in doubt |",
-        "|---" * 5 + "|",
-    ]
+    clocks = f"trial | seconds | clock: error ms (stated), of up to {REACH:g} s | said"
+    lines = table_head(f"{clocks} | headings: median deg, largest, in doubt")
     for i, own in enumerate(sessions(options.data)):
         count = min(round(SECONDS * 60), len(own.poses) - 1)
         video = filmed(own, (len(own.poses) - count) // 2, count, 30.0, i)

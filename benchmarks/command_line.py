@@ -37,6 +37,11 @@ def rounded(value: Any, digits: int = 6) -> Any:
     return json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.{digits}g}"))
 
 
+def table_head(headings: str) -> list[str]:
+    """The first two lines of a Markdown table, of headings with `` | `` between."""
+    return [f"| {headings} |", "|---" * (headings.count(" | ") + 1) + "|"]
+
+
 def in_parallel(function: Callable[[Job], Found], jobs: Iterable[Job], workers: int = 2) -> list[Found]:
     """What a function returns for each job, in their order, of several processes with a bar of progress."""
     jobs = list(jobs)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import study_parser, table_head
 from benchmarks.harness import mocap_people, write_results
 from benchmarks.views import Views, ViewSettings
 from rtof_kin.body.skeleton import SkeletonModel
@@ -131,33 +131,13 @@ def _recognised(uv: Array, confidence: Array, layout: str) -> bool:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
-    columns = (
-        "layout",
-        "2D",
-        "plain px",
-        "adapter px",
-        "adapter median px",
-        "all joints px",
-        "given",
-        "expected RMS px",
-        "RMS px",
-        "recognised",
-    )
-    lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
+    heads = "layout | 2D | plain px | adapter px | adapter median px | all joints px | given"
+    lines = table_head(f"{heads} | expected RMS px | RMS px | recognised")
     for row in rows:
-        cells = [
-            row["layout"],
-            row["kind"],
-            f"{row['naive_px']:.1f}",
-            f"{row['adapter_px']:.1f}",
-            f"{row['adapter_median_px']:.1f}",
-            f"{row['all_joints_px']:.1f}",
-            f"{100 * row['given']:.1f} %",
-            f"{row['expected_px']:.1f}",
-            f"{row['rms_px']:.1f}",
-            f"{100 * row['recognised']:.0f} %",
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
+        means = [f"{row[f'{name}_px']:.1f}" for name in ("naive", "adapter", "adapter_median", "all_joints")]
+        given, sizes = f"{100 * row['given']:.1f} %", [f"{row[name]:.1f}" for name in ("expected_px", "rms_px")]
+        cells = [row["layout"], row["kind"], *means, given, *sizes, f"{100 * row['recognised']:.0f} %"]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness, scoring
-from benchmarks.command_line import in_parallel, study_parser
+from benchmarks.command_line import in_parallel, study_parser, table_head
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -183,7 +183,7 @@ def table_without_video(found: list[dict[str, Any]]) -> str:
     """Rows pooled by sensors and case, as Markdown."""
     heads = "sensors | points | room mm | root path mm | relative mm | flexion deg | in bands: room | relative"
     heads += " | better than sensors alone | at worst | better than the file alone | left out"
-    lines = [f"| {heads} |", "|---" * 12 + "|"]
+    lines = table_head(heads)
     for sensors in ("8", "6", "4"):
         cases = ("none", "file alone", "right", "somebody else")
         of = {case: [row for row in found if (row["sensors"], row["case"]) == (sensors, case)] for case in cases}
@@ -205,15 +205,8 @@ def table_without_video(found: list[dict[str, Any]]) -> str:
 
 def table(found: list[dict[str, Any]]) -> str:
     """Rows pooled by sensors and lift, as Markdown."""
-    heads = [
-        "sensors",
-        "other lift",
-        *(heading for heading, _ in COLUMNS.values()),
-        "not worse",
-        "worst mm",
-        "left out",
-    ]
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    figures_of = " | ".join(heading for heading, _ in COLUMNS.values())
+    lines = table_head(f"sensors | other lift | {figures_of} | not worse | worst mm | left out")
     for sensors in SENSORS:
         without = [row["mpjpe_rr_mm"] for row in found if (row["sensors"], row["lift"]) == (sensors, "none")]
         for case in CASES:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from benchmarks import harness
-from benchmarks.command_line import in_parallel, study_parser
+from benchmarks.command_line import in_parallel, study_parser, table_head
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
 from rtof_kin.body.kinematics import shared_frames
@@ -130,16 +130,9 @@ def _straight(clip: MocapClip) -> bool:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Rank correlation and ratio by plan and sensors, and the angles of the same movement."""
-    lines = [
-        "| plan | sensors | motions | people | angles | rank correlation | mean ratio | "
-        "ratio of medians | within 0.5-2 |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    angles = [
-        "",
-        "| angle | " + " | ".join(f"{s}: expected, achieved" for s in SENSORS) + " |",
-        "|---|" + "---|" * len(SENSORS),
-    ]
+    heads = "plan | sensors | motions | people | angles | rank correlation | mean ratio"
+    lines = table_head(f"{heads} | ratio of medians | within 0.5-2")
+    angles = ["", *table_head(" | ".join(["angle", *(f"{s}: expected, achieved" for s in SENSORS)]))]
     cells: dict[str, dict[str, str]] = {}
     for plan in dict.fromkeys(row["plan"] for row in rows):
         for sensors in SENSORS:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command_line import study_parser
+from benchmarks.command_line import study_parser, table_head
 from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
 from rtof_kin.batch.rows import Row, RowFile
 from rtof_kin.batch.run import SHARE, Batch, Place, run_batch, write_tables
@@ -200,16 +200,7 @@ def measured(cost: Cost, driver: Driver, tables: list[TableCost]) -> list[str]:
 
 def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[str]:
     prices = f"{options.core_hour} per core-hour, {options.gb_month} per GB and month"
-    columns = (
-        "recordings",
-        "minutes each",
-        "core-hours",
-        "price",
-        "output [TB]",
-        "price per month",
-        f"days on {options.cores} cores",
-        "hours of the driver",
-    )
+    columns = "recordings | minutes each | core-hours | price | output [TB] | price per month"
     lines = [
         "## Computed",
         "",
@@ -218,7 +209,7 @@ def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[st
         "what else the machine does.",
         "",
     ]
-    lines += [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    lines += table_head(f"{columns} | days on {options.cores} cores | hours of the driver")
     for count in SIZES:
         for minutes in options.minutes:
             hours = count * (cost.cpu_s[0] + cost.cpu_s[1] * minutes) / 3600

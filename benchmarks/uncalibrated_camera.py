@@ -186,21 +186,9 @@ def report(rows: Sequence[Row]) -> str:
     found = [row for row in rows if "found" in row]
     lines += _table(heads, list(_unknowns(found)))
     lines += ["\n## Recordings\n"]
-    heads = [
-        "motion",
-        "camera",
-        "sensors",
-        "path in depth m",
-        "focal % planted",
-        "found",
-        "sd",
-        "pitch deg planted",
-        "found",
-        "sd",
-        "roll deg planted",
-        "found",
-        "sd",
-    ]
+    heads = ["motion", "camera", "sensors", "path in depth m"]
+    for unknown in ("focal %", "pitch deg", "roll deg"):
+        heads += [f"{unknown} planted", "found", "sd"]
     body = []
     for row in found:
         columns = np.array([row["planted"], row["found"], row["sigma"]])[:, :3] * [100, *np.degrees([1, 1])]

@@ -179,16 +179,8 @@ def _ratios(rows: Sequence[dict[str, Any]]) -> Table:
                         goal,
                     )
                 )
-    columns = (
-        "IMUs",
-        "lag s",
-        "error",
-        "above batch %, pooled",
-        "95 %",
-        "mean of motions %",
-        "worst motion %",
-        "goal %",
-    )
+    columns = ("IMUs", "lag s", "error", "above batch %, pooled", "95 %")
+    columns += ("mean of motions %", "worst motion %", "goal %")
     notes = ("Intervals are 95 % bootstraps over motions.",)
     return Table("ratios", "Online above batch", columns, (0, 0, 0, 1, 0, 1, 1, 0), tuple(found), notes)
 
