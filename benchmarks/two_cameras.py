@@ -86,13 +86,16 @@ def wrong_focal(camera: Camera, rng: Generator) -> Camera:
 def unknown_pose(keypoints: KeypointSequence, rng: Generator) -> KeypointSequence:
     """A camera that stands at its height over the origin and looks along x, on a clock of its own."""
     camera = wrong_focal(keypoints.camera, rng)
-    forward = camera.R_camera_world[2]
-    heading = so3.about_axis("z", float(np.arctan2(forward[1], forward[0])))
     off = np.radians(rng.uniform(*TILT_DEG, 2)) * rng.choice([-1, 1], 2)
-    R = so3.exp(np.array([off[0], 0.0, off[1]])) @ camera.R_camera_world @ heading
-    t = -R @ np.array([0.0, 0.0, camera.center_world[2]])
-    camera = replace(camera, R_camera_world=R, t_camera_world=t)
+    camera = over_origin(camera, so3.exp(np.array([off[0], 0.0, off[1]])))
     return replace(keypoints, camera=camera, times=keypoints.times + rng.uniform(*CLOCK))
+
+
+def over_origin(camera: Camera, R_wrong: Array) -> Camera:
+    """The camera over the origin, looking along x, turned by a further rotation."""
+    forward = camera.R_camera_world[2]
+    R = R_wrong @ camera.R_camera_world @ so3.about_axis("z", float(np.arctan2(forward[1], forward[0])))
+    return replace(camera, R_camera_world=R, t_camera_world=-R @ np.array([0.0, 0.0, camera.center_world[2]]))
 
 
 def measure(clip: MocapClip, seed: int) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ motions of the validation subjects instead, to tune on.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks import harness
-from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.accuracy.row_file import RowFile, version_of, write_rows
 from benchmarks.accuracy.rows import Job, Row, run
 from benchmarks.accuracy.tables import TABLES, failures
 from benchmarks.command_line import rounded, study_parser
@@ -62,12 +61,7 @@ def _run(job: Job) -> list[Row]:
 def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -> str:
     """Write the JSON, a line a row, and the Markdown beside it; the Markdown."""
     text = "\n".join([*(table.markdown() for table in tables), *failures(rows)])
-    content = facts | {"tables": rounded({t.name: t.as_dict() for t in tables})}
-    body = json.dumps(content, indent=1)[:-2]
-    lines = ",\n".join("  " + json.dumps(row) for row in rows)
-    out.with_suffix(".json").write_text(f'{body},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
-    out.with_suffix(".md").write_text(text.rstrip() + "\n", encoding="utf-8")
-    return text
+    return write_rows(out, text, facts | {"tables": rounded({t.name: t.as_dict() for t in tables})}, rows)
 
 
 def main(arguments: list[str] | None = None) -> None:

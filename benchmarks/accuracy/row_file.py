@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
@@ -60,6 +60,15 @@ class RowFile:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
         return [row for job in work for row in self.rows[job]]
+
+
+def write_rows(out: Path, text: str, content: Row, rows: Sequence[Row]) -> str:
+    """Write the JSON, a line a row, and the Markdown beside it; the Markdown."""
+    body = json.dumps(content, indent=1)[:-2]
+    lines = ",\n".join("  " + json.dumps(row) for row in rows)
+    out.with_suffix(".json").write_text(f'{body},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+    out.with_suffix(".md").write_text(text.rstrip() + "\n", encoding="utf-8")
+    return text
 
 
 def version_of(*options: object) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 from rich.progress import Progress
 
 from benchmarks.accuracy.__main__ import clips
-from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.accuracy.row_file import RowFile, version_of, write_rows
 from benchmarks.command_line import study_parser
 from benchmarks.harness import HERE
 from benchmarks.lifter.figure import write_figure
@@ -62,12 +62,7 @@ def _done(work: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
 def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -> str:
     """Write the JSON, a line a row, and the Markdown beside it; the Markdown."""
     text = "\n".join([*(table.markdown() for table in tables), *failures(rows)])
-    content = facts | {"tables": _rounded({t.name: t.as_dict() for t in tables})}
-    lines = ",\n".join("  " + json.dumps(row) for row in rows)
-    body = json.dumps(content, indent=1)[:-2]
-    out.with_suffix(".json").write_text(f'{body},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
-    out.with_suffix(".md").write_text(text.rstrip() + "\n", encoding="utf-8")
-    return text
+    return write_rows(out, text, facts | {"tables": _rounded({t.name: t.as_dict() for t in tables})}, rows)
 
 
 def _rounded(value: Any) -> Any:

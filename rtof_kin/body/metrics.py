@@ -85,7 +85,8 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     relative = np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000
     aligned = np.full_like(error, np.nan)
     aligned[both] = np.linalg.norm(procrustes(p[both], p_true[both]) - p_true[both], axis=-1) * 1000
-    angle = np.where(both[:, None], _angle_error(estimate, truth, skeleton), np.nan)
+    local = (kinematics.local_rotations(skeleton.parents, poses.R_world_bone) for poses in (estimate, truth))
+    angle = np.where(both[:, None], so3.angle_between(*local), np.nan)  # of the root in world
     rate = estimate.rate_hz
     acceleration = np.linalg.norm(signals.derivative(p - p_true, rate, 2), axis=-1)
     jerk = np.linalg.norm(signals.derivative(p - p_true, rate, 3), axis=-1)
@@ -204,12 +205,6 @@ def hinges(skeleton: SkeletonModel) -> list[int]:
     """Return the indices of knees and elbows."""
     wanted, joints = ("knee flexion", "elbow flexion"), skeleton.table.joints
     return [i for i, j in enumerate(joints) if any(dof.clinical.endswith(wanted) for dof in j.dofs)]
-
-
-def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Array:
-    """Return the angle (T, J), rad, between local rotations (root: in world)."""
-    local = (kinematics.local_rotations(skeleton.parents, p.R_world_bone) for p in (estimate, truth))
-    return so3.angle_between(*local)
 
 
 def at_times(truth: PoseSequence, times: Array) -> PoseSequence:

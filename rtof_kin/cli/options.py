@@ -128,7 +128,8 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     """Return a type with what cyclopts needs to read and to show it."""
     own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
     plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-    inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
+    optional = NoneType in get_args(plain) and len(get_args(plain)) == 2
+    inner = next(one for one in get_args(plain) if one is not NoneType) if optional else plain
     usual = Parameter(show_default=False if default in ((), "") else None, negative=None if inner is bool else ())
     if inner is bool:
         usual = Parameter(negative=() if default is False else None, show_default=False)
@@ -144,10 +145,6 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
         choices = [str(choice).replace("_", "-") for choice in get_args(inner)]
         usual = Parameter(converter=lambda _, tokens: tokens[0].value.replace("-", "_"), choices=choices)
     return Annotated[plain, Parameter.combine(usual, how, *own)]
-
-
-def _is_optional(hint: Any) -> bool:
-    return NoneType in get_args(hint) and len(get_args(hint)) == 2
 
 
 def _decimal(_: Any, tokens: Sequence[Token]) -> float:

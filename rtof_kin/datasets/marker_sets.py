@@ -270,12 +270,9 @@ class OpenCapValidation(PublicSet):
         table = read_opensim_table(path)
         if "knee_angle_r" not in table.names:
             raise FileFormatError(path, "has no column knee_angle_r: is it another version of the set?")
-        return Truth(
-            table,
-            _MEASURED,
-            "OpenSim inverse kinematics of optical markers",
-            reach=1.0 if _is_synchronised(take) else 3.0,
-        )
+        video = _video(take)
+        reach = 1.0 if video is None or video.stem.endswith(_SYNCHRONISED) else 3.0
+        return Truth(table, _MEASURED, "OpenSim inverse kinematics of optical markers", reach=reach)
 
 
 def _height(take: Take) -> float:
@@ -301,8 +298,3 @@ def _video(take: Take) -> Path | None:
             if (path := take.folder / f"{stem}{suffix}").is_file():
                 return path
     return None
-
-
-def _is_synchronised(take: Take) -> bool:
-    video = _video(take)
-    return video is None or video.stem.endswith(_SYNCHRONISED)

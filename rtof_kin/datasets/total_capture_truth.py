@@ -73,11 +73,6 @@ def read_truth(take: tuple[str, str], positions: Path, orientations: Path | None
     return Truth(poses, offsets, float(spread), tuple(notes))
 
 
-def _bone_rotations(R_vicon_segment: Array) -> Array:
-    """Convert the dataset's segment orientations to R_world_bone (..., 3, 3)."""
-    return np.asarray(WORLD_OF_VICON @ R_vicon_segment @ SEGMENT_OF_BONE)
-
-
 def _ordered(path: Path, width: int, skeleton: SkeletonModel, notes: list[str]) -> Array:
     """Read a table's values (T, J, width) in the skeleton's order of joints."""
     table = read_joints(path, width)
@@ -108,7 +103,7 @@ def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Arra
     if absent.any():
         count = int(absent.any(axis=1).sum())
         notes.append(f"{count} frames have joints without an orientation in {path.name}: unknown")
-    return _bone_rotations(R_vicon_segment)
+    return np.asarray(WORLD_OF_VICON @ R_vicon_segment @ SEGMENT_OF_BONE)
 
 
 def rotations_of(path: Path, quat_wxyz: Array, names: Sequence[str]) -> tuple[Array, Mask]:

@@ -137,7 +137,7 @@ def external(
     shown, exchanged = sides_mended(shown_at(delay), p, skeleton)
     turned = turned_to(R, p, shown, skeleton)
     positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
-    sigma_own = _relative_sigma(own)
+    sigma_own = np.where(np.isfinite(own.sigma_m), own.sigma_m, JOINT)  # (T, J, 2) across and along the ray, m
     known = _known(shown, skeleton)
     difference = _by_ray(positions - p, p, video.camera)
     ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.nan
@@ -438,11 +438,6 @@ def _between(own: Array, other: Array) -> Array:
     moment = np.einsum("tki,tkj->tij", so3.unit(other[known]), so3.unit(own[known]))
     out[known] = so3.nearest_rotation(moment)
     return out
-
-
-def _relative_sigma(own: Lifted) -> Array:
-    """(T, J, 2) standard deviations of joints relative to the root, across and along the ray, m."""
-    return np.where(np.isfinite(own.sigma_m), own.sigma_m, JOINT)
 
 
 def _by_ray(vectors: Array, p: Array, camera: Camera) -> Array:

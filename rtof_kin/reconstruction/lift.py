@@ -131,13 +131,14 @@ def fused(lifts: Sequence[Lifted], cameras: Sequence[KeypointSequence], skeleton
     right = np.einsum("ctjik,ctjk->tji", weights, relative)
     p = np.linalg.solve(weights.sum(axis=0), right[..., None])[..., 0]
     p[:, 1:] += p[:, :1]
-    sigmas = np.stack([_sigma_rad(lift) for lift in lifts])
+    stated = np.stack([lift.poses.sigma_rad for lift in lifts])
+    sigmas = np.where(np.isfinite(stated), stated, _RAD) / np.sqrt(np.stack([_weight(lift) for lift in lifts]))
     R_seen = _mean_rotations(np.stack([lift.R_world_bone for lift in lifts]), sigmas)
     R = kinematics.rotations_from_positions(skeleton.parents, skeleton.joint_offsets, p)
     provenance = np.stack([lift.poses.provenance for lift in lifts])
     camera = (provenance == Provenance.CAMERA).any(axis=0)
     observed = np.any([lift.poses.orientation_observed for lift in lifts], axis=0)
-    known = np.any([np.isfinite(lift.poses.sigma_rad) for lift in lifts], axis=0)
+    known = np.isfinite(stated).any(axis=0)
     provenance = np.where(camera, Provenance.CAMERA, provenance.min(axis=0)).astype(np.uint8)
     poses = replace(
         poses,
@@ -165,12 +166,6 @@ def _information(lift: Lifted, seen: KeypointSequence) -> Array:
 def _weight(lift: Lifted) -> Array:
     """(T, 1) 1 where the person was seen, nearly 0 where the poses are only bridged."""
     return np.where(lift.poses.valid.any(axis=1), 1.0, _UNSEEN)[:, None]
-
-
-def _sigma_rad(lift: Lifted) -> Array:
-    """(T, J) of the orientations, finite everywhere."""
-    sigma = lift.poses.sigma_rad
-    return np.asarray(np.where(np.isfinite(sigma), sigma, _RAD) / np.sqrt(_weight(lift)))
 
 
 def _mean_rotations(R: Array, sigma: Array) -> Array:

@@ -85,7 +85,8 @@ def recognise_source(path: str | Path) -> SourceKind:
         raise FileFormatError(path, "there is no such file or folder") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
-    if _is_video(path, head):
+    film = head[4:8] in _BOXES or head.startswith(_CONTAINERS) or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
+    if film or path.suffix.lower() in VIDEO_SUFFIXES:
         return SourceKind.VIDEO
     if head[:4] == b"PK\x03\x04":
         return SourceKind.KEYPOINTS if set(ARRAY_NAMES) & set(_names(path)) else SourceKind.UNKNOWN
@@ -100,11 +101,6 @@ def recognise_source(path: str | Path) -> SourceKind:
     if phone_files(path):
         return SourceKind.PHONE
     return _of_text(path, head.decode("utf-8-sig", errors="replace"))
-
-
-def _is_video(path: Path, head: bytes) -> bool:
-    known = head[4:8] in _BOXES or head.startswith(_CONTAINERS) or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
-    return known or path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def _names(path: Path) -> tuple[str, ...]:

@@ -162,15 +162,11 @@ def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: Lift
     spreads = [s[np.isfinite(s)] for s in (result.sigma_m, result.sigma_rad)]
     if not (np.isfinite(off).any() and all(s.size for s in spreads)):
         return Lifted(poses, np.nan)
-    reprojection = float(np.nanmedian(off)) / _extent(seen)
+    uv = seen.uv_px[seen.seen.any(axis=1)]
+    extent = float(np.median(np.nanmax(uv, axis=1) - np.nanmin(uv, axis=1), axis=0).sum())  # width and height, px
+    reprojection = float(np.nanmedian(off)) / max(extent, 1.0)
     logs = [float(np.log(s).mean()) for s in spreads]
     return Lifted(poses, -sum(logs) - _REPROJECTION * float(np.log(max(reprojection, _LEAST_REPROJECTION))))
-
-
-def _extent(seen: KeypointSequence) -> float:
-    """Width and height of a person in px, together."""
-    frames = seen.uv_px[seen.seen.any(axis=1)]
-    return max(float(np.median(np.nanmax(frames, axis=1) - np.nanmin(frames, axis=1), axis=0).sum()), 1.0)
 
 
 @dataclass(frozen=True)
