@@ -224,9 +224,10 @@ def export(
     from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
+    from rtof_kin.reporting.export import results_of_motion
 
     formats = to or DEFAULT
     check_formats(formats)
     with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
-        write_motion_files(folder, reader, formats)
+        write_motion_files(folder, reader, formats, results_of_motion(Path(motion)))
     print_files(written)

@@ -7,13 +7,16 @@ missing marker has three empty cells; their tabs stay.
 
 Of a ``.c3d`` points are read; analog channels (force plates, EMG) are not. A file has blocks of 512 bytes: a header,
 parameters in groups, then the frames (user guide at c3d.org). The library c3d, in pure Python, parses header and
-parameters. ezc3d, in C++, crashes the interpreter on damaged files, so it only writes.
+parameters. ezc3d, in C++, crashes the interpreter on damaged files, so it only writes: header and parameters, since it
+needs all frames in memory. It reads at most 65,535 frames.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import re
+import struct
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +33,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingErro
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file, measurable, numbers_of, read_text
 from rtof_kin.core.packages import optional
+from rtof_kin.formats.trial_results import TrialResults, add_integers
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 
@@ -354,9 +358,18 @@ def _frames(reader: Any, fitting: int) -> int:
 
 
 def write_c3d(
-    path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "z", overwrite: bool = False
+    path: str | Path,
+    markers: MarkerSequence | MarkerBlocks,
+    *,
+    up: str = "z",
+    results: TrialResults | None = None,
+    zero_s: float = 0.0,
+    overwrite: bool = False,
 ) -> None:
-    """Write points in mm, which `read_c3d` reads back to the format's 32 bits.
+    """Write points in mm, which `read_c3d` reads back to the format's 32 bits, in blocks.
+
+    Args:
+        results: what the file has beside them. zero_s: time of the results at which the clock of `markers` shows 0.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False.
@@ -365,32 +378,60 @@ def write_c3d(
     """
     ezc3d = optional("ezc3d", "", "writing C3D", "pip install ezc3d, or conda install -c conda-forge ezc3d")
 
-    R_world_file, rate = world_of_file(up), rate_hz(markers.times)
+    R_world_file, rate, count = world_of_file(up), rate_hz(markers.times), len(markers.times)
     first = round(float(markers.times[0]) * rate)
-    if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers.times))).max() > 1e-3:
+    if first < 0 or np.abs(markers.times * rate - first - np.arange(count)).max() > 1e-3:
         raise InvalidInputError(
             "marker times: C3D has a number for each frame and no times; resample to one rate, with "
             "times that are multiples of its step"
         )
-    p_file = np.concatenate(list(markers.blocks())) @ R_world_file / METRES["mm"]
+    names = (*markers.names, *(() if results is None else results.names))
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]
     point["UNITS"]["value"], point["RATE"]["value"] = ["mm"], [rate]
-    point["LABELS"]["value"] = list(markers.names)
+    point["LABELS"]["value"] = list(names)
     file.add_parameter("POINT", "X_SCREEN", ["+X" if up[-1] != "x" else "+Y"])
     file.add_parameter("POINT", "Y_SCREEN", [up.upper() if up[0] == "-" else f"+{up.upper()}"])
-    file["header"]["points"]["first_frame"] = first
-    # ezc3d writes NaN with residual 0; a missing point has residual -1 in this format.
-    points = p_file.transpose(2, 1, 0)
-    seen = np.isfinite(points[:1])
-    file["data"]["points"] = np.concatenate([np.where(seen, points, 0.0), np.ones_like(seen)])
-    file["data"]["meta_points"] = {
-        "residuals": np.where(seen, 0.0, -1.0),
-        "camera_masks": np.zeros((7, *seen.shape[1:]), dtype=bool),
-    }
+    for end, frame in (("START", first + 1), ("END", first + count)):
+        add_integers(file, "TRIAL", f"ACTUAL_{end}_FIELD", [frame & _FRAMES_OF_16_BITS, frame >> 16])
+    file["data"]["points"] = np.ones((4, len(names), 1))
+    if results is not None:
+        results.add_to(file, zero_s)
+
+    def blocks() -> Iterator[Array]:
+        start = 0
+        for p_world in markers.blocks():
+            p_file, start = p_world @ R_world_file / METRES["mm"], start + len(p_world)
+            beside = [] if results is None else [results.rows(slice(start - len(p_world), start))]
+            yield np.concatenate([p_file, *beside], axis=1)
+
     with new_file(path, overwrite) as whole:
         try:
             file.write(str(whole))
-            read_c3d(whole)  # ezc3d reports no error where the disk is full
+            _write_frames(whole, first, count, blocks())
         except (FileFormatError, RuntimeError) as error:
             raise WritingError(f"{path}: cannot be written whole ({error}); name another file") from error
+
+
+def _write_frames(path: Path, first: int, count: int, blocks: Iterator[Array]) -> None:
+    """Replace the one frame of a file that ezc3d wrote, which needs all of them in memory.
+
+    Args:
+        first: from 0. blocks: (n, M, 3) of `count` frames; missing where all three are NaN, with residual -1, which
+            ezc3d would write as residual 0.
+    """
+    head = bytearray(path.read_bytes())
+    reader = _read_head(path, bytes(head))  # ezc3d reports no error where the disk is full
+    start = (int(_number(reader, "DATA_START", 0)) - 1) * _BLOCK
+    frames = re.search(rb"[\x06\xfa].FRAMES..\x02\x00", head[:start], re.DOTALL)
+    if frames is None or len(head) <= start:
+        raise FileFormatError(path, "ends before its frames")
+    struct.pack_into("<H", head, frames.end(), min(count, _FRAMES_OF_16_BITS))
+    struct.pack_into("<2H", head, 6, *(min(frame, _FRAMES_OF_16_BITS) for frame in (first + 1, first + count)))
+    with path.open("wb") as stream:
+        stream.write(head[:start])
+        for p_file in blocks:
+            seen = np.isfinite(p_file).any(axis=2, keepdims=True)
+            values = np.concatenate([np.where(seen, p_file, 0.0), np.where(seen, 0.0, -1.0)], axis=2)
+            stream.write(values.astype("<f4").tobytes())
+        stream.write(bytes(-stream.tell() % _BLOCK))

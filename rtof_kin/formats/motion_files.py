@@ -34,6 +34,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -64,6 +65,7 @@ from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
 from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
+from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
 
 CONVENTION: Final = (
     "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
@@ -201,12 +203,18 @@ class Format:
     even: bool = False  #: True for formats with a rate in place of times, or whose readers expect even ones
 
 
-def write_motion_files(folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT) -> Path:
+def write_motion_files(
+    folder: str | Path,
+    motion: AnyMotion,
+    formats: Sequence[str] = DEFAULT,
+    results: Callable[[MotionSource], TrialResults] | None = None,
+) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
-        motion: what is written, in blocks but for c3d. formats: names in `FORMATS`.
+        motion: what is written, in blocks. formats: names in `FORMATS`.
+        results: makes what c3d has beside the landmarks, of the motion; by default it has nothing.
 
     Raises:
         UnknownNameError: no such format. RtofError: Parquet without pyarrow.
@@ -221,7 +229,10 @@ def write_motion_files(folder: str | Path, motion: AnyMotion, formats: Sequence[
         even = source.with_times(even_times(source.times))
     for name in (name for name in FORMATS if name in formats):
         kind = FORMATS[name]
-        for file, facts in kind.write(folder, even if kind.even else source).items():
+        write = kind.write
+        if name == "c3d" and results is not None:
+            write = partial(_c3d, results=results(source))
+        for file, facts in write(folder, even if kind.even else source).items():
             files[file] = {"format": name, "convention": kind.convention, **facts}
     text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")
@@ -322,15 +333,23 @@ def _osim(folder: Path, motion: MotionSource) -> Files:
     return {"skeleton.osim": {}}
 
 
-def _c3d(folder: Path, motion: MotionSource) -> Files:
+def _c3d(folder: Path, motion: MotionSource, results: TrialResults | None = None) -> Files:
     """Write times as frame numbers; `time_zero_s` is the remainder of the first one."""
     markers = landmark_markers(motion)
     start, rate = float(markers.times[0]), rate_hz(markers.times)
     first = round(start * rate)
     if not 0 <= first <= _MOST_FRAMES_C3D - len(markers.times):
         first = 0
-    write_c3d(folder / "motion.c3d", replace(markers, times=(first + np.arange(len(markers.times))) / rate))
-    return {"motion.c3d": {"frames": [0, len(motion)], "time_zero_s": start - first / rate}}
+    zero, times = start - first / rate, (first + np.arange(len(markers.times))) / rate
+    write_c3d(folder / "motion.c3d", replace(markers, times=times), results=results, zero_s=zero)
+    left_out = 0 if results is None else len(results.events[MOST_EVENTS:])
+    return {
+        "motion.c3d": {
+            "frames": [0, len(motion)],
+            "time_zero_s": zero,
+            **({"events_left_out": left_out} if left_out else {}),
+        }
+    }
 
 
 _GROUND = "OpenSim's ground: x forward (world x), y up (world z), z right (world -y)"
@@ -364,7 +383,12 @@ FORMATS: Final[dict[str, Format]] = {
         _whole({"motion.trc": lambda path, m: write_trc(path, landmark_markers(m), up="opensim")}),
         even=True,
     ),
-    "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, even=True),
+    "c3d": Format(
+        "landmarks by name, x forward, y left, z up; mm, 32 bits; of an analysis: events, and as points Plug-in Gait's "
+        "angles, deg, ground reaction forces, N, and moments, N mm",
+        _c3d,
+        even=True,
+    ),
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",

@@ -23,25 +23,30 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
+from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter, motion_folder
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
+from rtof_kin.formats.trial_results import TrialResults
 from rtof_kin.markers.trials import MarkerResult, marker_facts
 from rtof_kin.reconstruction.result import Reconstruction, measurements_of
+from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting import certificate as certified
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import AuditResult, headline
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
-from rtof_kin.reporting.summary_file import SIGMAS
+from rtof_kin.reporting.summary_file import SIGMAS, read_summary
 
 MARKER: Final = MOTION
 MOST_SECONDS: Final = 600.0
@@ -103,7 +108,8 @@ def export(
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
         with MotionReader(temporary / MARKER) as reader:
-            write_motion_files(temporary, reader, formats)
+            recording = statistics.first.recording
+            write_motion_files(temporary, reader, formats, partial(_results, recording=recording))
         contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
@@ -206,10 +212,28 @@ def export_markers(
     with new_folder(Path(folder), MARKER, overwrite) as temporary:
         with MotionWriter(temporary / MARKER, found.body.skeleton, mode=MARKERS) as writer:
             writer.append(found.motion)
-        write_motion_files(temporary, found.motion, formats)
+        write_motion_files(temporary, found.motion, formats, trial_results)
         for name, contents in (("summary.json", about), ("markers.json", facts)):
             (temporary / name).write_text(json.dumps(contents, indent=2) + "\n", encoding="utf-8")
     return results
+
+
+def _results(motion: MotionSource, recording: Recording) -> TrialResults:
+    return trial_results(motion, recording.session.subject, recording.mass_kg, recording.sex)
+
+
+def results_of_motion(path: Path) -> Callable[[MotionSource], TrialResults]:
+    """Return what makes the results of a motion in a folder; its summary, if there is one, says subject and mass.
+
+    Raises:
+        FileFormatError: the summary is damaged.
+    """
+    file = motion_folder(path) / "summary.json"
+    if not file.is_file():
+        return trial_results
+    said = read_summary(file)
+    known: dict[str, Any] = {name: said.subject.get(name) for name in ("mass_kg", "sex")}
+    return partial(trial_results, subject=said.session.subject, **known)
 
 
 def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:

@@ -179,6 +179,16 @@ def test_two_other_readers_agree_about_a_written_c3d(markers: MarkerSequence, tm
     np.testing.assert_allclose(frames[seen, :3] / 1000, markers.p_world[seen], atol=1e-6)
 
 
+def test_another_reader_counts_more_frames_than_the_header_can(tmp_path: Path) -> None:
+    times = np.arange(70_000) / 100
+    write_c3d(tmp_path / "long.c3d", MarkerSequence(times, ("a",), np.arange(210_000.0).reshape(-1, 1, 3) / 1e3))
+    with warnings.catch_warnings(), (tmp_path / "long.c3d").open("rb") as stream:
+        warnings.simplefilter("ignore")
+        reader = pure_python_c3d.Reader(stream)
+        assert (reader.first_frame, reader.last_frame) == (1, 70_000)
+    assert len(read_c3d(tmp_path / "long.c3d")) == 70_000
+
+
 def dec_float(value: float) -> bytes:
     low, high = struct.unpack("<2H", struct.pack("<f", 4 * value))
     return struct.pack("<2H", high, low)

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
+from clinical_support import walking
+from report_support import folder_of
 
 from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
@@ -27,7 +30,7 @@ from rtof_kin.reporting import export as exporting
 from rtof_kin.reporting import figures
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import headline
-from rtof_kin.reporting.export import export, summary
+from rtof_kin.reporting.export import export, results_of_motion, summary
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 BODY = SkeletonModel.default().with_height(1.66)
@@ -240,3 +243,13 @@ def test_an_error_in_a_later_part_leaves_no_folder(parts: list[Reconstruction], 
     with pytest.raises(RuntimeError, match="broken"):
         export(broken(), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_results_of_an_exported_c3d_are_of_the_subject_in_the_summary(tmp_path: Path) -> None:
+    motion = walking(2.0)
+    about = {"subject": {"mass_kg": 70.0, "sex": "female"}, "session": {"subject": "P07"}}
+    found = results_of_motion(folder_of(motion, tmp_path / "walk", inputs=about))(MotionSource.of(motion))
+    assert (found.subject, found.mass_kg) == ("P07", 70.0)
+    assert "GroundReactionForce" in found.points["FORCES"]
+    (tmp_path / "walk" / "summary.json").unlink()
+    assert results_of_motion(tmp_path / "walk")(MotionSource.of(motion)).subject == ""
