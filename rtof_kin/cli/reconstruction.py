@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -58,7 +59,9 @@ def reconstruct(
     /,
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
-    task: Annotated[ReconstructionTask, Fields(f"mode model lift layout calibrate calibration figures {PERSON}")],
+    task: Annotated[
+        ReconstructionTask, Fields(f"mode model lift layout calibrate calibration events figures {PERSON}")
+    ],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,
@@ -103,7 +106,7 @@ def reconstruct(
     if output is None:
         raise InvalidInputError("required: --output (rtof-kin reconstruct --help has all options)")
     if recording.suffix.lower() in TRIALS:
-        _reconstruct_markers(recording, output, markers, overwrite, task.subject if task.update_subject else None)
+        _reconstruct_markers(recording, output, markers, overwrite, task)
         return
     found = reconstruct_and_print(recording, output, task, settings, overwrite, verbose)
     if found.stage_metrics:
@@ -111,7 +114,7 @@ def reconstruct(
 
 
 def _reconstruct_markers(
-    trial: Path, output: Path, settings: MarkerSettings, overwrite: bool, subject: Path | None
+    trial: Path, output: Path, settings: MarkerSettings, overwrite: bool, task: ReconstructionTask
 ) -> None:
     from rtof_kin.body.motion_file import MOTION
     from rtof_kin.core.files.manifest import fingerprint
@@ -123,11 +126,13 @@ def _reconstruct_markers(
     check_replaceable(output, MOTION, overwrite)
     with progress() as update:
         found = motion_of_markers(trial, settings, progress=partial(update, "fitting the body"))
+    corrections = task.event_corrections(found.motion.times)
+    found = replace(found, motion=replace(found.motion, corrections=corrections))
     results = export_markers(found, output, overwrite)
     print_headline(headline(results))
     say(found.headline)
     say(f"wrote {output}")
-    if subject is not None:
+    if task.update_subject and (subject := task.subject) is not None:
         bones, sigma = found.body.skeleton, found.body.sigma_offsets
         news = news_of_markers(bones, sigma, f"markers {fingerprint(bones.joint_offsets.tolist())[:8]}")
         for changed in update_subject(subject, news, bones.name):

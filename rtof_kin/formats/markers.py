@@ -277,17 +277,39 @@ def _is_cut(parameter: Any) -> bool:
     return parameter.bytes_per_element not in (-1, 1, 2, 4) or len(parameter.bytes) != parameter.total_bytes
 
 
-def _texts(reader: Any, name: str) -> list[str]:
-    """Return the texts of a parameter of POINT and of its continuations: LABELS, LABELS2, LABELS3, ..."""
-    texts: list[str] = []
-    number, parameter = 1, reader.get(f"POINT:{name}")
+def read_c3d_events(path: str | Path) -> list[tuple[str, str, float]]:
+    """Read the events of a file: context, label, and s on the clock of `read_c3d`.
+
+    Raises:
+        FileFormatError: no such file, damaged, or with parts of events missing.
+    """
+    path = Path(path)
+    reader = _read_head(path, _read_bytes(path))
+    contexts, labels = _texts(reader, "CONTEXTS", "EVENT"), _texts(reader, "LABELS", "EVENT")
+    parts = [_floats(reader, p.bytes) for p in _continued(reader, "EVENT:TIMES") if p.bytes_per_element == 4]
+    times = np.concatenate([*parts, np.zeros(0)])
+    if not len(labels) == len(contexts) == len(times) / 2:
+        raise FileFormatError(path, f"{len(labels)} labels, {len(contexts)} contexts and {len(times) / 2:g} times")
+    return list(zip(contexts, labels, (times[::2] * 60 + times[1::2]).tolist(), strict=True))
+
+
+def _continued(reader: Any, name: str) -> Iterator[Any]:
+    """Yield a parameter and its continuations: LABELS, LABELS2, LABELS3, ..."""
+    number, parameter = 1, reader.get(name)
     while parameter is not None:
+        yield parameter
+        number += 1
+        parameter = reader.get(f"{name}{number}")
+
+
+def _texts(reader: Any, name: str, group: str = "POINT") -> list[str]:
+    """Return the texts of a parameter and of its continuations."""
+    texts: list[str] = []
+    for parameter in _continued(reader, f"{group}:{name}"):
         if parameter.bytes_per_element == -1 and parameter.bytes:
             data, width = parameter.bytes, parameter.dimensions[0] if parameter.dimensions else 1
             pieces = (data[i : i + width] for i in range(0, len(data), width))
             texts += [piece.decode("latin-1").strip(" \0") for piece in pieces]
-        number += 1
-        parameter = reader.get(f"POINT:{name}{number}")
     return texts
 
 

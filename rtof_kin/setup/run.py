@@ -201,6 +201,8 @@ def reconstruct_folder(
         )
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
         source = task.with_lifts(source)
+        if events := task.event_corrections(source.times):
+            source = source.with_facts(corrections=(*source.facts.corrections, *events))
         lifter = task.lifter()
         person = Person.of(task.person(), source).seen(source, mode, lifter, settings)
         informed = person.informed(source)
@@ -213,6 +215,7 @@ def reconstruct_folder(
             "recording_sha256": digest,
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),
+            "events_sha256": None if task.events is None else file_digest(task.events),
             "lift_sha256": [file_digest(split_convention(file)[0]) for file in task.lift],
             "subject_sha256": None if task.subject is None else file_digest(task.subject),
         }

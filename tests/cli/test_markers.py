@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from marker_support import planted
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.formats.markers import write_trc
 
 
@@ -22,7 +23,16 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_trial_is_reconstructed_and_its_clock_is_found(trial: Path, tmp_path: Path, cli: Any) -> None:
-    done = cli.ok("reconstruct", trial, "-o", tmp_path / "out", "--marker-set", "plug_in_gait")
+    (tmp_path / "events.txt").write_text("\tLHS\tRTO\nITEM\tX\tX\n1\t1.25\t1.5\n")
+    events = ("--events", tmp_path / "events.txt")
+    done = cli.ok("reconstruct", trial, "-o", tmp_path / "out", "--marker-set", "plug_in_gait", *events)
+    with MotionReader(tmp_path / "out") as motion:
+        assert [(one.kind, one.what, one.who) for one in motion.corrections] == [
+            ("no_event", "left", "events.txt"),
+            ("no_event", "right", "events.txt"),
+            ("foot_strike", "left", "events.txt"),
+            ("foot_off", "right", "events.txt"),
+        ]
     done.says("39 markers (plug_in_gait) on a body of 1.", "residual")
     assert (tmp_path / "out" / "motion.h5").is_file()
     cli.refused("reconstruct", trial, "-o", tmp_path / "out")

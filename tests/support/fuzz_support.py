@@ -41,12 +41,14 @@ from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_motion
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
+from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.formats.gait_reference import read_gait_reference, write_gait_reference
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
 from rtof_kin.formats.opensim import read_opensim_table, write_mot
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.mvnx import read_mvnx
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
+from rtof_kin.formats.trial_results import GaitEvent, TrialResults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import inspect
 from rtof_kin.setup.sources import Sources
@@ -267,6 +269,7 @@ def _model(name: str) -> Callable[[], bytes]:
     return model_path(name).read_bytes
 
 
+STRIKES = TrialResults((GaitEvent(0.1, "left", "foot_strike"), GaitEvent(0.2, "right", "foot_off")))
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
 CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
 TURNING = CameraMotion(np.arange(5) / 30, np.tile(np.eye(3), (5, 1, 1)))
@@ -293,6 +296,8 @@ READERS = (
     written("TRC", "a.trc", lambda p: write_trc(p, _markers()), read_trc),
     written("OpenSim coordinates", "a.mot", lambda p: write_mot(p, motion()), read_opensim_table),
     written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
+    written("C3D events", "a.c3d", lambda p: write_c3d(p, _markers(), results=STRIKES), read_event_corrections),
+    given("table of events", "a.txt", b"\tLHS\tRTO\nITEM\tX\tX\n1\t1.25\t1.5\n2\t2.5\t\n", read_event_corrections),
     # --- cameras
     written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),
     written("camera motion", "a.npz", lambda p: write_camera_motion(p, TURNING), read_camera_motion),
