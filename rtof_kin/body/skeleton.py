@@ -24,11 +24,12 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.packages import optional
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import GRAVITY_WORLD
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,35 @@ class Motion:
 
         with MotionReader(folder) as file:
             return file.read(start, stop)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset``, named by dimension, units and frames as attributes (extra ``connect``).
+
+        Positions and rotations of the joints in world, angles of the revolutes, standard deviations where there is a
+        confidence, and what of each was observed; `MissingPackageError` without xarray.
+        """
+        from rtof_kin.body.observability import observed_dofs  # which imports this module
+
+        poses, known, joint = self.poses, self.confidence, ("time", "joint")
+        turned = poses.orientation_observed
+        flags = {"flag_values": list(map(int, Provenance)), "flag_meanings": " ".join(one.name for one in Provenance)}
+        arrays = {
+            "position": ((*joint, "xyz"), poses.p_world_joint, {"units": "m", "frame": "world"}),
+            "rotation": ((*joint, "xyz", "bone_xyz"), poses.R_world_bone, {"units": "1", "frame": "world"}),
+            "angle": (("time", "dof"), self.q[:, 7:], {"units": "rad", "frame": "joint, zero in the T-pose"}),
+            "position_valid": (joint, poses.valid),
+            "provenance": (joint, poses.provenance, flags),
+            "angle_observed": (("time", "dof"), observed_dofs(self)),
+            "rotation_observed": (joint, np.broadcast_to(turned, poses.valid.shape)),
+        }
+        if known is not None:
+            variance = np.diagonal(known.position_covariance, axis1=2, axis2=3)
+            arrays["position_sigma"] = ((*joint, "xyz"), np.sqrt(variance), {"units": "m", "frame": "world"})
+            arrays["rotation_sigma"] = (joint, known.orientation_sigma, {"units": "rad", "frame": "world, per axis"})
+        names = {"joint": list(poses.names), "dof": list(self.skeleton.dof_names), "xyz": [*"xyz"]}
+        coordinates = {"time": ("time", self.times, {"units": "s"}), **names, "bone_xyz": [*"xyz"]}
+        about = {"skeleton": self.skeleton.name, "world": "z up, m"}
+        return optional("xarray", "connect", "to_xarray").Dataset(arrays, coordinates, about)
 
     @property
     def times(self) -> Array:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
@@ -21,6 +23,7 @@ from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.choices import Repeated
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.packages import optional
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,28 @@ class MotionAnalysis:
         if self.ground_reaction is not None:
             out["ground reaction"] = self.ground_reaction.notes
         return out | {"torques": (NO_WEIGHT,) if self.torques is None else self.torques.notes}
+
+    def to_frame(self) -> Any:
+        """Return the angles as a tidy ``pandas.DataFrame`` (extra ``connect``): a row for each time and angle.
+
+        Columns: time, s; side (right, left or ''), joint and angle, categories; degrees and sigma, deg, NaN where
+        unknown; reliable. `MissingPackageError` without pandas.
+        """
+        pandas, found = optional("pandas", "connect", "to_frame"), self.angles
+        names = [
+            (one.side, one.name.removeprefix(f"{one.side}_"), row.name.removeprefix(f"{one.name}_"))
+            for one in self.table.joints
+            for row in one.angles
+        ]
+        sigma = np.full(found.values.shape, np.nan) if found.sigma is None else found.sigma
+        words = (pandas.Categorical(np.repeat(column, len(found))) for column in zip(*names, strict=True))
+        numbers = {
+            "degrees": np.degrees(found.values),
+            "sigma": np.degrees(sigma),
+            "reliable": found.is_trusted(slice(None)),
+        }
+        columns = {"time": np.tile(found.times, len(names))} | dict(zip(("side", "joint", "angle"), words, strict=True))
+        return pandas.DataFrame(columns | {name: values.T.ravel() for name, values in numbers.items()})
 
 
 def analyse(
