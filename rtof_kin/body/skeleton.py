@@ -88,15 +88,12 @@ class Motion:
             return file.read(start, stop)
 
     def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset``, named by dimension, units and frames as attributes (extra ``connect``).
-
-        Positions and rotations of the joints in world, angles of the revolutes, standard deviations where there is a
-        confidence, and what of each was observed; `MissingPackageError` without xarray.
+        """Return an ``xarray.Dataset`` (extra ``connect``) of positions and rotations in world and angles of revolutes,
+        standard deviations where there is a confidence, and what was observed; units and frames are attributes.
         """
         from rtof_kin.body.observability import observed_dofs  # which imports this module
 
         poses, known, joint = self.poses, self.confidence, ("time", "joint")
-        turned = poses.orientation_observed
         flags = {"flag_values": list(map(int, Provenance)), "flag_meanings": " ".join(one.name for one in Provenance)}
         arrays = {
             "position": ((*joint, "xyz"), poses.p_world_joint, {"units": "m", "frame": "world"}),
@@ -105,7 +102,7 @@ class Motion:
             "position_valid": (joint, poses.valid),
             "provenance": (joint, poses.provenance, flags),
             "angle_observed": (("time", "dof"), observed_dofs(self)),
-            "rotation_observed": (joint, np.broadcast_to(turned, poses.valid.shape)),
+            "rotation_observed": (joint, np.broadcast_to(poses.orientation_observed, poses.valid.shape)),
         }
         if known is not None:
             variance = np.diagonal(known.position_covariance, axis1=2, axis2=3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -221,13 +222,13 @@ def export(
             check_new_file(written, overwrite)
             say(f"wrote {export_onnx(Lifter.load(Path(motion)), written, flip, overwrite)}")
         return
-    from rtof_kin.body.motion_file import MotionReader, motion_path
+    from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.reporting.export import results_of_motion
+    from rtof_kin.reporting.export import results_of
 
     formats = to or DEFAULT
     check_formats(formats)
     with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
-        write_motion_files(folder, reader, formats, results_of_motion(Path(motion)))
+        write_motion_files(folder, reader, formats, partial(results_of, folder=motion_folder(motion)))
     print_files(written)

@@ -118,6 +118,7 @@ def _reconstruct_markers(
 ) -> None:
     from rtof_kin.body.motion_file import MOTION
     from rtof_kin.core.files.manifest import fingerprint
+    from rtof_kin.formats.gait_events import read_event_corrections
     from rtof_kin.markers.trials import motion_of_markers
     from rtof_kin.reconstruction.person import news_of_markers, update_subject
     from rtof_kin.reporting.audit_results import headline
@@ -126,8 +127,9 @@ def _reconstruct_markers(
     check_replaceable(output, MOTION, overwrite)
     with progress() as update:
         found = motion_of_markers(trial, settings, progress=partial(update, "fitting the body"))
-    corrections = task.event_corrections(found.motion.times)
-    found = replace(found, motion=replace(found.motion, corrections=corrections))
+    if task.events is not None:
+        events = read_event_corrections(task.events, found.motion.times)
+        found = replace(found, motion=replace(found.motion, corrections=events))
     results = export_markers(found, output, overwrite)
     print_headline(headline(results))
     say(found.headline)

@@ -53,10 +53,8 @@ class MotionAnalysis:
         return out | {"torques": (NO_WEIGHT,) if self.torques is None else self.torques.notes}
 
     def to_frame(self) -> Any:
-        """Return the angles as a tidy ``pandas.DataFrame`` (extra ``connect``): a row for each time and angle.
-
-        Columns: time, s; side (right, left or ''), joint and angle, categories; degrees and sigma, deg, NaN where
-        unknown; reliable. `MissingPackageError` without pandas.
+        """Return a tidy ``pandas.DataFrame`` (extra ``connect``), a row for each time and angle: time, s; side (right,
+        left or ''), joint, angle; degrees and their sigma, NaN where unknown; reliable.
         """
         pandas, found = optional("pandas", "connect", "to_frame"), self.angles
         names = [
@@ -66,11 +64,8 @@ class MotionAnalysis:
         ]
         sigma = np.full(found.values.shape, np.nan) if found.sigma is None else found.sigma
         words = (pandas.Categorical(np.repeat(column, len(found))) for column in zip(*names, strict=True))
-        numbers = {
-            "degrees": np.degrees(found.values),
-            "sigma": np.degrees(sigma),
-            "reliable": found.is_trusted(slice(None)),
-        }
+        numbers: dict[str, Any] = {"degrees": np.degrees(found.values), "sigma": np.degrees(sigma)}
+        numbers["reliable"] = found.is_trusted(slice(None))
         columns = {"time": np.tile(found.times, len(names))} | dict(zip(("side", "joint", "angle"), words, strict=True))
         return pandas.DataFrame(columns | {name: values.T.ravel() for name, values in numbers.items()})
 

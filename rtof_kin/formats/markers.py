@@ -33,7 +33,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingErro
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file, measurable, numbers_of, read_text
 from rtof_kin.core.packages import optional
-from rtof_kin.formats.trial_results import TrialResults, add_integers
+from rtof_kin.formats.trial_results import TrialResults, add_parameters
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 
@@ -277,20 +277,17 @@ def _is_cut(parameter: Any) -> bool:
     return parameter.bytes_per_element not in (-1, 1, 2, 4) or len(parameter.bytes) != parameter.total_bytes
 
 
-def read_c3d_events(path: str | Path) -> list[tuple[str, str, float]]:
-    """Read the events of a file: context, label, and s on the clock of `read_c3d`.
-
-    Raises:
-        FileFormatError: no such file, damaged, or with parts of events missing.
+def read_c3d_events(path: str | Path) -> list[tuple[str, float]]:
+    """Read the events of a file: context and label, such as 'Left Foot Strike', and s on the clock of `read_c3d`;
+    `FileFormatError` where it is damaged.
     """
     path = Path(path)
     reader = _read_head(path, _read_bytes(path))
-    contexts, labels = _texts(reader, "CONTEXTS", "EVENT"), _texts(reader, "LABELS", "EVENT")
+    contexts, labels = (_texts(reader, name, "EVENT") for name in ("CONTEXTS", "LABELS"))
+    names = map(" ".join, zip(contexts, labels, strict=False))
     parts = [_floats(reader, p.bytes) for p in _continued(reader, "EVENT:TIMES") if p.bytes_per_element == 4]
     times = np.concatenate([*parts, np.zeros(0)])
-    if not len(labels) == len(contexts) == len(times) / 2:
-        raise FileFormatError(path, f"{len(labels)} labels, {len(contexts)} contexts and {len(times) / 2:g} times")
-    return list(zip(contexts, labels, (times[::2] * 60 + times[1::2]).tolist(), strict=True))
+    return list(zip(names, (times[: len(times) // 2 * 2].reshape(-1, 2) @ [60.0, 1.0]).tolist(), strict=False))
 
 
 def _continued(reader: Any, name: str) -> Iterator[Any]:
@@ -407,25 +404,24 @@ def write_c3d(
             "marker times: C3D has a number for each frame and no times; resample to one rate, with "
             "times that are multiples of its step"
         )
-    names = (*markers.names, *(() if results is None else results.names))
+    results = results or TrialResults()
+    names, flat = (*markers.names, *results.flat), results.flat.values()
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]
     point["UNITS"]["value"], point["RATE"]["value"] = ["mm"], [rate]
     point["LABELS"]["value"] = list(names)
-    file.add_parameter("POINT", "X_SCREEN", ["+X" if up[-1] != "x" else "+Y"])
-    file.add_parameter("POINT", "Y_SCREEN", [up.upper() if up[0] == "-" else f"+{up.upper()}"])
-    for end, frame in (("START", first + 1), ("END", first + count)):
-        add_integers(file, "TRIAL", f"ACTUAL_{end}_FIELD", [frame & _FRAMES_OF_16_BITS, frame >> 16])
+    vertical = up.upper() if up[0] == "-" else f"+{up.upper()}"
+    add_parameters(file, "POINT", X_SCREEN=["+X" if up[-1] != "x" else "+Y"], Y_SCREEN=[vertical])
+    ends = {"ACTUAL_START_FIELD": first + 1, "ACTUAL_END_FIELD": first + count}
+    add_parameters(file, "TRIAL", **{end: [n & _FRAMES_OF_16_BITS, n >> 16] for end, n in ends.items()})
     file["data"]["points"] = np.ones((4, len(names), 1))
-    if results is not None:
-        results.add_to(file, zero_s)
+    results.add_to(file, zero_s)
 
-    def blocks() -> Iterator[Array]:
-        start = 0
+    def blocks(at: int = 0) -> Iterator[Array]:
         for p_world in markers.blocks():
-            p_file, start = p_world @ R_world_file / METRES["mm"], start + len(p_world)
-            beside = [] if results is None else [results.rows(slice(start - len(p_world), start))]
-            yield np.concatenate([p_file, *beside], axis=1)
+            beside = [values[at : at + len(p_world), None] for values in flat]
+            yield np.concatenate([p_world @ R_world_file / METRES["mm"], *beside], axis=1)
+            at += len(p_world)
 
     with new_file(path, overwrite) as whole:
         try:
@@ -438,9 +434,7 @@ def write_c3d(
 def _write_frames(path: Path, first: int, count: int, blocks: Iterator[Array]) -> None:
     """Replace the one frame of a file that ezc3d wrote, which needs all of them in memory.
 
-    Args:
-        first: from 0. blocks: (n, M, 3) of `count` frames; missing where all three are NaN, with residual -1, which
-            ezc3d would write as residual 0.
+    blocks: (n, M, 3) of `count` frames from `first`; missing where all three are NaN, with residual -1.
     """
     head = bytearray(path.read_bytes())
     reader = _read_head(path, bytes(head))  # ezc3d reports no error where the disk is full

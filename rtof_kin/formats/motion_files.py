@@ -34,7 +34,6 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -199,7 +198,7 @@ class Format:
     """A kind of file that a motion is written to."""
 
     convention: str  #: Axes, units, order and names
-    write: Callable[[Path, MotionSource], Files]  #: Write into a folder
+    write: Callable[..., Files]  #: Write a motion into a folder: ``write(folder, motion)``
     even: bool = False  #: True for formats with a rate in place of times, or whose readers expect even ones
 
 
@@ -229,10 +228,8 @@ def write_motion_files(
         even = source.with_times(even_times(source.times))
     for name in (name for name in FORMATS if name in formats):
         kind = FORMATS[name]
-        write = kind.write
-        if name == "c3d" and results is not None:
-            write = partial(_c3d, results=results(source))
-        for file, facts in write(folder, even if kind.even else source).items():
+        beside = {"results": results(source)} if name == "c3d" and results is not None else {}
+        for file, facts in kind.write(folder, even if kind.even else source, **beside).items():
             files[file] = {"format": name, "convention": kind.convention, **facts}
     text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")
@@ -342,14 +339,10 @@ def _c3d(folder: Path, motion: MotionSource, results: TrialResults | None = None
         first = 0
     zero, times = start - first / rate, (first + np.arange(len(markers.times))) / rate
     write_c3d(folder / "motion.c3d", replace(markers, times=times), results=results, zero_s=zero)
-    left_out = 0 if results is None else len(results.events[MOST_EVENTS:])
-    return {
-        "motion.c3d": {
-            "frames": [0, len(motion)],
-            "time_zero_s": zero,
-            **({"events_left_out": left_out} if left_out else {}),
-        }
-    }
+    facts: Facts = {"frames": [0, len(motion)], "time_zero_s": zero}
+    if results is not None and (more := len(results.events[MOST_EVENTS:])):
+        facts["events_left_out"] = more
+    return {"motion.c3d": facts}
 
 
 _GROUND = "OpenSim's ground: x forward (world x), y up (world z), z right (world -y)"
@@ -384,8 +377,7 @@ FORMATS: Final[dict[str, Format]] = {
         even=True,
     ),
     "c3d": Format(
-        "landmarks by name, x forward, y left, z up; mm, 32 bits; of an analysis: events, and as points Plug-in Gait's "
-        "angles, deg, ground reaction forces, N, and moments, N mm",
+        "landmarks by name, x forward, y left, z up; mm, 32 bits; events; angles, deg, forces, N, and moments, N mm",
         _c3d,
         even=True,
     ),

@@ -29,7 +29,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter, motion_folder
+from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
@@ -40,7 +40,6 @@ from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_f
 from rtof_kin.formats.trial_results import TrialResults
 from rtof_kin.markers.trials import MarkerResult, marker_facts
 from rtof_kin.reconstruction.result import Reconstruction, measurements_of
-from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting import certificate as certified
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import AuditResult, headline
@@ -107,12 +106,11 @@ def export(
         assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
-        with MotionReader(temporary / MARKER) as reader:
-            recording = statistics.first.recording
-            write_motion_files(temporary, reader, formats, partial(_results, recording=recording))
         contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        with MotionReader(temporary / MARKER) as reader:
+            write_motion_files(temporary, reader, formats, partial(results_of, folder=temporary))
         if statistics.certificate is not None and statistics.certificate.left_out:
             certified.write_frames(statistics.certificate, temporary)
         if figures and whole is not None and can_draw():
@@ -218,22 +216,12 @@ def export_markers(
     return results
 
 
-def _results(motion: MotionSource, recording: Recording) -> TrialResults:
-    return trial_results(motion, recording.session.subject, recording.mass_kg, recording.sex)
-
-
-def results_of_motion(path: Path) -> Callable[[MotionSource], TrialResults]:
-    """Return what makes the results of a motion in a folder; its summary, if there is one, says subject and mass.
-
-    Raises:
-        FileFormatError: the summary is damaged.
-    """
-    file = motion_folder(path) / "summary.json"
-    if not file.is_file():
-        return trial_results
+def results_of(motion: MotionSource, folder: Path) -> TrialResults:
+    """Return the results for a C3D file; a summary in the folder says subject and body mass; errors as its reader."""
+    if not (file := folder / "summary.json").is_file():
+        return trial_results(motion)
     said = read_summary(file)
-    known: dict[str, Any] = {name: said.subject.get(name) for name in ("mass_kg", "sex")}
-    return partial(trial_results, subject=said.session.subject, **known)
+    return trial_results(motion, said.session.subject, said.subject.get("mass_kg"), said.subject.get("sex"))
 
 
 def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:

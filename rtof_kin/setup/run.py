@@ -21,6 +21,7 @@ from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.resources import lifter_path
+from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.person import Person, update_subject
 from rtof_kin.reconstruction.prepare import Progress
@@ -201,7 +202,8 @@ def reconstruct_folder(
         )
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
         source = task.with_lifts(source)
-        if events := task.event_corrections(source.times):
+        if task.events is not None:
+            events = read_event_corrections(task.events, source.times)
             source = source.with_facts(corrections=(*source.facts.corrections, *events))
         lifter = task.lifter()
         person = Person.of(task.person(), source).seen(source, mode, lifter, settings)

@@ -10,8 +10,6 @@ from rtof_kin.core.choices import Mode, Provider
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from rtof_kin.core.array_types import Array
-    from rtof_kin.data.corrections import Correction
     from rtof_kin.reconstruction.lift import LifterLike
     from rtof_kin.recording.recording import RecordingSource
     from rtof_kin.recording.subject import Subject
@@ -116,18 +114,6 @@ class ReconstructionTask:
             times = times - first.times[0] + first.video_times[0]
         read = (read_lift_points(*split_convention(file), times) for file in self.lift)
         return source.with_facts(lifts=(*source.facts.lifts, *read))
-
-    def event_corrections(self, times: Array) -> tuple[Correction, ...]:
-        """Read the events; none without a file. `InvalidInputError` where none is at times (T,), s, of the recording;
-        errors as `read_event_corrections`.
-        """
-        if self.events is None:
-            return ()
-        from rtof_kin.formats.gait_events import check_events, read_event_corrections
-
-        found = read_event_corrections(self.events)
-        check_events(found, float(times[0]), float(times[-1]))
-        return found
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.laboratory import plug_in_gait_angles, trial_results
 from rtof_kin.formats.markers import read_c3d
 from rtof_kin.formats.motion_files import write_motion_files
-from rtof_kin.formats.trial_results import MOST_EVENTS, GaitEvent, TrialResults
+from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
 
 Array = NDArray[np.float64]
 MASS = 70.0
@@ -117,7 +117,7 @@ def test_a_recording_without_labels_names_nobody(tmp_path: Path) -> None:
 
 
 def test_events_beyond_one_parameter_continue_and_the_rest_is_counted(tmp_path: Path) -> None:
-    events = tuple(GaitEvent(0.5 * n, "left", "foot_off") for n in range(MOST_EVENTS + 3))
+    events = tuple((0.5 * n, "left", "foot_off") for n in range(MOST_EVENTS + 3))
     write_motion_files(tmp_path, walking(0.5), ("c3d",), lambda _: TrialResults(events, subject="x" * 40))
     event = parameters(ezc3d.c3d(str(tmp_path / "motion.c3d")), "EVENT")
     assert [event["USED"][0], len(event["LABELS"]), len(event["LABELS8"])] == [MOST_EVENTS, 255, 255]

@@ -30,7 +30,7 @@ from rtof_kin.reporting import export as exporting
 from rtof_kin.reporting import figures
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import headline
-from rtof_kin.reporting.export import export, results_of_motion, summary
+from rtof_kin.reporting.export import export, results_of, summary
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 BODY = SkeletonModel.default().with_height(1.66)
@@ -248,8 +248,8 @@ def test_an_error_in_a_later_part_leaves_no_folder(parts: list[Reconstruction], 
 def test_results_of_an_exported_c3d_are_of_the_subject_in_the_summary(tmp_path: Path) -> None:
     motion = walking(2.0)
     about = {"subject": {"mass_kg": 70.0, "sex": "female"}, "session": {"subject": "P07"}}
-    found = results_of_motion(folder_of(motion, tmp_path / "walk", inputs=about))(MotionSource.of(motion))
+    found = results_of(MotionSource.of(motion), folder_of(motion, tmp_path / "walk", inputs=about))
     assert (found.subject, found.mass_kg) == ("P07", 70.0)
     assert "GroundReactionForce" in found.points["FORCES"]
     (tmp_path / "walk" / "summary.json").unlink()
-    assert results_of_motion(tmp_path / "walk")(MotionSource.of(motion)).subject == ""
+    assert results_of(MotionSource.of(motion), tmp_path / "walk").subject == ""

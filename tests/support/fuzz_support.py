@@ -48,7 +48,7 @@ from rtof_kin.formats.opensim import read_opensim_table, write_mot
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.mvnx import read_mvnx
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
-from rtof_kin.formats.trial_results import GaitEvent, TrialResults
+from rtof_kin.formats.trial_results import TrialResults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import inspect
 from rtof_kin.setup.sources import Sources
@@ -269,7 +269,11 @@ def _model(name: str) -> Callable[[], bytes]:
     return model_path(name).read_bytes
 
 
-STRIKES = TrialResults((GaitEvent(0.1, "left", "foot_strike"), GaitEvent(0.2, "right", "foot_off")))
+def _strikes(path: Path) -> object:
+    return read_event_corrections(path, np.arange(4.0))
+
+
+STRIKES = TrialResults(((0.1, "left", "foot_strike"), (0.2, "right", "foot_off")))
 UV = np.random.default_rng(1).uniform(100, 900, (4, 21, 2))
 CAMERA, SKELETON = planted.camera(), SkeletonModel.default()
 TURNING = CameraMotion(np.arange(5) / 30, np.tile(np.eye(3), (5, 1, 1)))
@@ -296,8 +300,8 @@ READERS = (
     written("TRC", "a.trc", lambda p: write_trc(p, _markers()), read_trc),
     written("OpenSim coordinates", "a.mot", lambda p: write_mot(p, motion()), read_opensim_table),
     written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
-    written("C3D events", "a.c3d", lambda p: write_c3d(p, _markers(), results=STRIKES), read_event_corrections),
-    given("table of events", "a.txt", b"\tLHS\tRTO\nITEM\tX\tX\n1\t1.25\t1.5\n2\t2.5\t\n", read_event_corrections),
+    written("C3D events", "a.c3d", lambda p: write_c3d(p, _markers(), results=STRIKES), _strikes),
+    given("table of events", "a.txt", b"\tLHS\tRTO\nITEM\tX\tX\n1\t1.25\t1.5\n2\t2.5\t\n", _strikes),
     # --- cameras
     written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),
     written("camera motion", "a.npz", lambda p: write_camera_motion(p, TURNING), read_camera_motion),
