@@ -49,6 +49,7 @@ _STYLE: Final = """
   .doubt { color: #b00020; }
   .body--dark .doubt { color: #ff8a80; }
   .q-btn { min-height: 40px; }
+  .row > [aria-level="2"] ~ * { margin-top: 1rem; }
   .people { position: relative; }
   .people img { width: 100%; display: block; }
   .people div { position: absolute; border: 3px solid transparent; border-radius: 6px; cursor: pointer; }
@@ -91,6 +92,7 @@ class Frame:
         ui.page_title(f"{title} · {TEXTS.title}")
         ui.add_head_html(_STYLE)
         ui.colors(primary="#1565c0")
+        ui.on_exception(self.say)  # of what is not `tried`
         with ui.row().props("role=navigation").classes("w-full"):
             ui.link(TEXTS.people, "/")
             for person in names[:1]:
@@ -151,8 +153,12 @@ class Frame:
             if (waited := action()) is not None:
                 await waited
         except (RtofError, OSError) as error:
-            said = str(error) if isinstance(error, RtofError) else TEXTS.not_written.format(error=error.strerror)
-            self.ui.notify(worded(said), type="negative", multi_line=True, timeout=10_000)
+            self.say(error)
+
+    def say(self, error: Exception) -> None:
+        """Say what went wrong."""
+        said = TEXTS.not_written.format(error=error.strerror) if isinstance(error, OSError) else str(error)
+        self.ui.notify(worded(said), type="negative", multi_line=True, timeout=10_000)
 
     def answer(self, find: Callable[..., Path], *names: str) -> Any:
         """Return a page that was made as an answer, or why there is none."""

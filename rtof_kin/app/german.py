@@ -241,6 +241,8 @@ GERMAN: Final = Texts(
     devices_about="Dabei wird jede Kamera kurz eingeschaltet und das lokale Netz nach Sensoren gefragt. "
     "Sonst wird nichts kontaktiert.",
     # files of a recording
+    not_taken="Die Datei kam nicht an; ist die Festplatte voll?",
+    all_files="Dateien hinzufügen oder entfernen",
     drop="Video, Keypoints und Sensordateien hier ablegen, oder einen Ordner als .zip, oder + drücken",
     without_image="Kein Video und keine Keypoints: die Person steht zuerst einige Sekunden still.",
     without_sensors="Keine Sensoren: die Bewegung kommt allein aus dem Bild.",

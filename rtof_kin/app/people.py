@@ -14,6 +14,7 @@ from rtof_kin.app.start import welcome
 from rtof_kin.app.store import State
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.checks import some
+from rtof_kin.core.errors import RtofError
 
 
 class PeoplePages(Frame):
@@ -61,6 +62,7 @@ class PeoplePages(Frame):
                 self.button(TEXTS.add_person, add, name, height)
             upload = self.ui.upload(label=TEXTS.take_archive, auto_upload=True, on_upload=taken)
             upload.props('flat bordered accept=".zip"').classes("w-full")
+            upload.on("failed", lambda: self.say(RtofError(TEXTS.not_taken)))
             welcome(self)
 
     def person(self, person: str) -> None:

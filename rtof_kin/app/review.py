@@ -52,7 +52,10 @@ class ReviewPages(Frame):
                 )
                 self._form(folder)
             if not _written(folder):
-                await self.run.cpu_bound(write_review, folder)
+                told = self.ui.label(TEXTS.being_made).props("role=status")
+                await self.ui.context.client.connected()  # what is above is shown meanwhile
+                await self.made(folder, write_review, folder)
+                told.delete()
             address = "/".join((self.prefix, "review", person, visit, name, "page"))
             self.ui.element("iframe").props(f'src="{address}" title="{TEXTS.review}"').style("height: 110vh")
 
@@ -73,7 +76,7 @@ class ReviewPages(Frame):
         """List the corrections, each of which can be taken back, and offer to solve again."""
         made = read_corrections(folder / RECORDING)
         for one in made:
-            with self.row():
+            with self.row().classes("no-wrap"):
                 self.ui.label(_words(one))
                 rest = [other for other in made if other is not one]
                 self.icon("undo", TEXTS.take_back.format(what=_words(one)), self._changing(folder, rest, show))
@@ -90,11 +93,11 @@ class ReviewPages(Frame):
             f"leave_out {name}": TEXTS.leave_out_sensor.format(name=name) for name in sensors
         }
         with self.row():
-            kind = ui.select(choices, label=TEXTS.correction).classes("w-72")
-            start = ui.number(TEXTS.from_s, format="%.2f").classes("w-32")
-            stop = ui.number(TEXTS.to_s, format="%.2f").classes("w-32")
+            kind = ui.select(choices, label=TEXTS.correction).classes("w-64")
+            start = ui.number(TEXTS.from_s, format="%.2f").classes("w-24")
+            stop = ui.number(TEXTS.to_s, format="%.2f").classes("w-24")
             who = ui.input(TEXTS.who_mends, value=self.who).classes("w-32")
-            why = ui.input(TEXTS.why).classes("w-72")
+            why = ui.input(TEXTS.why).classes("w-56")
 
             def add() -> None:
                 if not kind.value or not who.value.strip() or not why.value.strip():
@@ -137,9 +140,12 @@ def _written(folder: Path) -> bool:
 
 
 def _waits(folder: Path) -> bool:
-    """Return whether the recording was corrected after it was solved."""
-    index, motion = folder / RECORDING / INDEX, folder / MOTION / MOTION_FILE
-    return index.is_file() and index.stat().st_mtime > motion.stat().st_mtime
+    """Return whether the result is without what was corrected."""
+    index, summary = folder / RECORDING / INDEX, folder / MOTION / SUMMARY
+    if not (index.is_file() and summary.is_file()) or index.stat().st_mtime <= summary.stat().st_mtime:
+        return False
+    solved = read_summary(summary).inputs.get("corrections") or ()
+    return [*solved] != [str(one) for one in read_corrections(folder / RECORDING)]
 
 
 def _words(one: Correction) -> str:

@@ -19,6 +19,8 @@ from rtof_kin.setup.init import FINDINGS, read_findings
 from rtof_kin.setup.people import PICTURE, people_in_picture
 from rtof_kin.setup.run import RECORDING, SECOND
 from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
+from rtof_kin.vision.model_download import model_sets, models_folder
+from rtof_kin.vision.person_detector import contained_models
 
 MAP: Final = "sensors-on-body.csv"  #: Among the files: the map of sensors that is made by the drawing
 PICTURES: Final = {PICTURE: f"{RECORDING}/{PICTURE}", f"second-{PICTURE}": f"{SECOND}/{PICTURE}"}
@@ -87,9 +89,14 @@ class SourceParts:
         """Lay them out."""
         self.page, self.ui, self.store, self.folder = page, page.ui, page.store, folder
         page.heading(TEXTS.files, 2)
-        self._upload = self.ui.upload(label=TEXTS.drop, multiple=True, auto_upload=True, on_upload=self._dropped)
-        self._upload.props("flat bordered").classes("w-full")
-        self._same = page.shown(self._look, self._files, self._known, self._people, self._sensors)
+        done = self.store.take(folder).state in (State.DONE, State.ATTENTION)  # then the result is looked for
+        with self.ui.expansion(TEXTS.all_files, value=not done).classes("w-full"):
+            self._upload = self.ui.upload(label=TEXTS.drop, multiple=True, auto_upload=True, on_upload=self._dropped)
+            self._upload.props("flat bordered").classes("w-full").on(
+                "failed", lambda: page.say(RtofError(TEXTS.not_taken))
+            )
+            page.shown(self._look, self._files)
+        self._same = page.shown(self._look, self._known, self._people, self._sensors)
 
     def _look(self) -> Any:
         made = [self.folder / file for file in (f"{RECORDING}/{FINDINGS}", *PICTURES.values())]
@@ -134,7 +141,7 @@ class SourceParts:
 
         take, kinds = self.store.take(self.folder), {path: _kind(path) for path in self.store.files(self.folder)}
         free = take.state not in AT_WORK
-        several = sum(kind in _OF_CAMERA for kind in kinds.values()) > 1
+        several = take.second or sum(kind in _OF_CAMERA - _BESIDE for kind in kinds.values()) > 1
         self._upload.set_visibility(free)
         for path, kind in kinds.items():
             with self.page.row():
@@ -160,9 +167,12 @@ class SourceParts:
             TEXTS.without_image: not sources.seen,
             TEXTS.without_sensors: not sources.sensors,
             TEXTS.without_camera: sources.seen and sources.camera is None,
+            TEXTS.no_models: sources.video is not None and sources.keypoints is None and _no_detector(),
         }
         for said in (said for said, is_missing in missing.items() if is_missing):
             ui.label(f"• {said}")
+        if missing[TEXTS.no_models]:
+            ui.link(TEXTS.to_start, "/start")
         with self.page.row():
             self._fields(sources, take)
         with suppress(RtofError):  # nothing was found yet
@@ -291,3 +301,8 @@ def _kind(path: Path) -> str:
 def _named(kind: str) -> str:
     """Return a kind in the language of the page."""
     return dict(TEXTS.sources).get(kind, kind)
+
+
+def _no_detector() -> bool:
+    """Return whether no models that find people are here; their files are not compared."""
+    return contained_models() is None and not any(models_folder(one).is_dir() for one in model_sets())

@@ -53,7 +53,7 @@ _NAME: Final = re.compile(r"\w[\w-]{0,63}")
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _NO_FILE: Final = re.compile(r"[\\/:*?\"<>|]|^[.\s-]|[.\s]$")
 _LONGEST: Final = 200  # [bytes] of the name of a file
-_FRAME: Final = re.compile(r"(.*?)[_-]?\d{4,}_keypoints\.json")  # OpenPose's name of the file of one frame
+_FRAME: Final = re.compile(r"(.*?)([_-]?\d{4,}_keypoints|\.\d{4,6}|_\d{6}|_?\d{12})\.json")  # Of one frame, as OpenPose
 _MOST_FILES, _MOST_BYTES = 100_000, 16e9  # Of a .zip file, unpacked
 
 

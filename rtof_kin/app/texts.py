@@ -136,6 +136,8 @@ class Texts:
     )
     # a recording
     files: str = "1. Files"
+    not_taken: str = "The file did not arrive; is the disk full?"
+    all_files: str = "Add or remove files"
     drop: str = "Drop video, keypoints and sensor files here, or a folder as .zip, or press +"
     remove: str = "Remove {name}"
     sources: tuple[tuple[str, str], ...] = (  # as `SourceKind` has them
@@ -321,6 +323,7 @@ class Texts:
         (r"by --rate 60 \(Hz\)", "in the field above"),
         (r", --map FILE", ", or choose their places in the drawing of the body"),
         (r"; --pose takes another one", "; choose another one above"),
+        (r"(?s)no detector of people is at hand.*", "No models that find people are here: fetch them in First steps"),
         (r"add --fetch-models (\S+):", r"fetch the models \1 once:"),
         (r" \(--fetch-models rtmpose, --model-dir DIR\)", ""),
         (r": --model-dir DIR", " in the folder of models"),
@@ -328,6 +331,10 @@ class Texts:
         (r"; (rtof-kin inspect lists their gaps|--update-subject makes it, or write it \(docs/subject\.md\))", ""),
         (r"; go on with: rtof-kin reconstruct \S+", "; drop the files that it was made from"),
         (r"; name another folder by -o, or add --overwrite(, which replaces that person's results)?", ""),
+        (
+            r".*: cannot be written \((\[Errno \d+\] )?(.+?)\); (name another file|choose another folder)",
+            r"\2; free some space",
+        ),
     )
     """What the engine says of options of the command line, as patterns, and how a page calls them."""
 

@@ -107,7 +107,7 @@ class Work:
                 self._queue.remove(folder)
             elif folder == self._now:
                 self._end()
-            else:
+            elif self.store.take(folder).state not in AT_WORK:  # else its end could not be written
                 return
             self.store.change(folder, state=State.DRAFT)
 
@@ -175,7 +175,8 @@ class Work:
                     self._stages.report(*(message if not outcome else (REPORT, 1, 1)))
         process.join()
         how = TEXTS.lost.format(how=f"exit code {process.exitcode}")
-        seconds = {} if look else {"seconds": self.store.take(folder).seconds | self._stages.seconds}
+        done = not look and outcome.get("state") in (State.DONE, State.ATTENTION)
+        seconds = {"seconds": self.store.take(folder).seconds | self._stages.seconds} if done else {}
         return (outcome or {"state": State.FAILED, "said": how}) | seconds
 
     def _earlier(self) -> dict[str, float]:

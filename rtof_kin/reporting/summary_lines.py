@@ -211,7 +211,12 @@ def _movement(analysis: MotionAnalysis) -> str:
         if gait.verdict.on_the_spot:
             where, way = " on the spot or on a treadmill", ""
         return f"Walking{where}{partly}: {counted}{way}"
-    bends = _knee_bends(analysis)
+    own = analysis.repetitions
+    if own is not None and (times := len(own.repetitions)):  # asked for, or set by hand
+        name, rest = {"squat": ("squat", ""), "sit_to_stand": ("rise", " from a seat")}[own.kind]
+        bends = [f"{times} {name}{'s' * (times > 1)}{rest}"]
+    else:
+        bends = _knee_bends(analysis)
     walking = f"{counted} of walking, but no steady walking" if strides else "no walking was recognised"
     return sentence("; ".join([*([_listed(bends)] if bends else []), walking, travel.text]))
 
