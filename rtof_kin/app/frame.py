@@ -206,7 +206,9 @@ class Frame:
         path = self.store.path(*names) / NOTES
 
         def read() -> str:
-            return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+            return (
+                path.read_text(encoding="utf-8", errors="replace") if path.is_file() and not path.is_symlink() else ""
+            )
 
         def save() -> None:
             if (typed := field.value or "") != seen[0]:

@@ -47,7 +47,7 @@ class ReviewPages(Frame):
             self.ui.link(TEXTS.to_recording, f"/people/{person}/{visit}/{name}")
             with self.ui.expansion(TEXTS.mend, value=True).classes("w-full"):
                 self.shown(
-                    lambda: (read_corrections(folder / RECORDING), self.store.take(folder).state, _waits(folder)),
+                    lambda: (self.store.path(person, visit, name), *self._look(folder)),
                     lambda show: self._made(folder, show),
                 )
                 self._form(folder)
@@ -72,14 +72,16 @@ class ReviewPages(Frame):
         kind = {"media_type": "video/mp4"} if file == VIDEO else {}  # whatever its name says
         return answers.FileResponse(path, headers={"cache-control": "no-store"}, **kind)
 
+    def _look(self, folder: Path) -> Any:
+        return read_corrections(folder / RECORDING), self.store.take(folder).state, _waits(folder)
+
     def _made(self, folder: Path, show: Show) -> None:
         """List the corrections, each of which can be taken back, and offer to solve again."""
         made = read_corrections(folder / RECORDING)
         for one in made:
             with self.row().classes("no-wrap"):
                 self.ui.label(_words(one))
-                rest = [other for other in made if other is not one]
-                self.icon("undo", TEXTS.take_back.format(what=_words(one)), self._changing(folder, rest, show))
+                self.icon("undo", TEXTS.take_back.format(what=_words(one)), self._without(folder, one, show))
         if _waits(folder) and self.store.take(folder).state not in AT_WORK:
             with self.row():
                 self.ui.label(TEXTS.unsolved).props("role=status").classes("doubt")
@@ -121,12 +123,13 @@ class ReviewPages(Frame):
         ui.on("range", chosen)
         ui.add_body_html(f"<script>{_LISTEN}</script>")
 
-    def _changing(self, folder: Path, rest: list[Correction], show: Show) -> Callable[[], None]:
-        def change() -> None:
-            write_corrections(folder / RECORDING, rest)
+    def _without(self, folder: Path, one: Correction, show: Show) -> Callable[[], None]:
+        def take_back() -> None:
+            made = read_corrections(folder / RECORDING)  # maybe changed in another window
+            write_corrections(folder / RECORDING, [other for other in made if other != one])
             show()
 
-        return change
+        return take_back
 
     def _solve(self, folder: Path) -> None:
         self.work.ask(folder)

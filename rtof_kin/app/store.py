@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
+import threading
 import time
 import zipfile
 from datetime import date
@@ -54,6 +55,7 @@ _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORE
 _NO_FILE: Final = re.compile(r"[\\/:*?\"<>|]|^[.\s-]|[.\s]$")
 _LONGEST: Final = 200  # [bytes] of the name of a file
 _FRAME: Final = re.compile(r"(.*?)([_-]?\d{4,}_keypoints|\.\d{4,6}|_\d{6}|_?\d{12})\.json")  # Of one frame, as OpenPose
+_CHANGING: Final = threading.Lock()  # The pages' thread and that of the queue
 _MOST_FILES, _MOST_BYTES = 100_000, 16e9  # Of a .zip file, unpacked
 
 
@@ -193,8 +195,9 @@ class Store:
     @staticmethod
     def change(folder: Path, **values: Any) -> Take:
         """Change the state of a recording and return it."""
-        take = Store.take(folder).model_copy(update=values)
-        write_text(folder / _TAKE, take.model_dump_json(indent=1) + "\n", overwrite=True)
+        with _CHANGING:
+            take = Store.take(folder).model_copy(update=values)
+            write_text(folder / _TAKE, take.model_dump_json(indent=1) + "\n", overwrite=True)
         return take
 
     @staticmethod

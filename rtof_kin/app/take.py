@@ -30,7 +30,7 @@ class TakePages(Frame):
         """One recording: its files, its reconstruction, its result."""
 
         def look() -> Any:
-            take, page = self.store.take(folder), folder / PAGE
+            take, page = self.store.take(self.store.path(person, visit, name)), folder / PAGE
             made = page.stat().st_mtime_ns if page.is_file() else 0
             return take.state, take.said, take.learned, self.store.files(folder), take.second, made
 
@@ -70,7 +70,7 @@ class TakePages(Frame):
             learn = ui.switch(TEXTS.learn, value=take.learn)
             learn.on_value_change(lambda event: self.store.change(folder, learn=event.value))
             with self.row():
-                self.button(TEXTS.look, lambda: ask(look=True))
+                self.button(TEXTS.look, lambda: ask(look=True), props="outline")
                 self.button(TEXTS.again if (folder / PAGE).is_file() else TEXTS.reconstruct, ask)
 
     def _progress(self, folder: Path) -> None:

@@ -70,6 +70,12 @@ def test_first_person_to_report_over_a_cancelled_run_and_a_killed_server(
     window.says("Ready: a detector's keypoints, a map of sensors, files of sensors.")
     window.click("Reconstruct")
     window.says("Keypoints do not say how large the image is")
+    state = workspace / "P07/2026-02-03/walk/take.json"
+    state.unlink(missing_ok=True)
+    state.mkdir()  # where nothing can be written
+    window.value("document.querySelector('[role=switch]').click()")
+    window.says("; free some space")
+    state.rmdir()
     window.fill("Width of the image in px", "1920")
     window.fill("Height of the image in px", "1080")
     window.click("Reconstruct")

@@ -6,7 +6,10 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import av
 import numpy as np
@@ -14,17 +17,23 @@ import pytest
 from app_support import Server, Window
 from browser_support import needs_browser
 
-from rtof_kin.app.store import Store
+from rtof_kin.app import work as module
+from rtof_kin.app.review import ReviewPages, _waits
+from rtof_kin.app.store import State, Store
 from rtof_kin.app.work import REVIEW, write_review
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.corrections import Correction
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.recording.index import read_corrections
+from rtof_kin.recording.index import read_corrections, write_corrections
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.export import export
+from rtof_kin.setup.run import run
+from rtof_kin.setup.settings import ReconstructionTask
+from rtof_kin.simulation.simulate import write_raw_files
 
 pytest.importorskip("nicegui")
-pytestmark = [needs_browser, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 INSIDE = "document.querySelector('iframe')?.contentDocument"
 ITEM = "[...document.querySelectorAll('.q-item')].find(one => one.innerText === 'Leave out the picture')"
 TAKE_BACK = "[...document.querySelectorAll('button')].find(one => one.ariaLabel?.startsWith('Take back'))"
@@ -70,6 +79,7 @@ def server(take: Path) -> Iterator[Server]:
     own.end()
 
 
+@needs_browser
 def test_a_range_is_chosen_corrected_and_taken_back(take: Path, server: Server, tmp_path: Path) -> None:
     with Window(tmp_path / "browser", 1024, 900) as window:
         window.open(f"{server.address}people/P07/2026-02-03/walk/review")
@@ -103,6 +113,7 @@ def test_a_range_is_chosen_corrected_and_taken_back(take: Path, server: Server, 
         assert read_corrections(take / "recording") == ()
 
 
+@needs_browser
 def test_the_video_is_sent_in_parts_and_nothing_else_is(take: Path, server: Server) -> None:
     address = f"{server.address}review/P07/2026-02-03/walk"
     part = urllib.request.Request(f"{address}/video", headers={"Range": "bytes=0-99"})
@@ -123,3 +134,54 @@ def test_the_page_is_of_this_result_and_shows_what_was_corrected(take: Path) -> 
     write_review(take)
     page = (take / REVIEW).read_text()
     assert f'"mended":[[{made.start_s}' in page
+
+
+def solved(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: Any) -> dict[str, bytes]:
+    """Reconstruct a recording as the queue does, but for the process, and return all numbers of the result."""
+    sent: list[Any] = []
+    monkeypatch.setattr(module, "end_with_parent", lambda: None)
+    monkeypatch.setattr(module.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(module, "run", partial(run, mode="lift"))
+    monkeypatch.setattr(module, "ReconstructionTask", partial(ReconstructionTask, figures=False))
+    sender: Any = SimpleNamespace(send=sent.append)
+    module._reconstruct(str(folder), Store.change(folder, **values), sender)
+    assert sent[-1]["state"] in (State.DONE, State.ATTENTION), sent[-1]
+    return {path.name: path.read_bytes() for path in (folder / "motion/motion.h5", *(folder / "angles").glob("*.csv"))}
+
+
+def test_the_result_follows_a_correction_and_comes_back_to_the_bit_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path / "workspace")
+    store.add_person("P07", 1.73)
+    store.add_visit("P07", "2026-02-03")
+    folder, demo = store.add_take("P07", "2026-02-03", "walk"), Recording.load(model_path("demo"))
+    write_raw_files(demo.between(demo.start_s + 9.0, demo.start_s + 10.5), tmp_path / "raw")
+    for name in ("keypoints.csv", "camera.toml"):
+        (tmp_path / "raw" / name).rename(store.new_file(folder, name))
+    first = solved(folder, monkeypatch, size_px=(1920, 1080))
+    start = Recording.load(folder / "recording").start_s
+    by = {"who": "AB", "when": "2026-02-04T10:15", "why": "<b>a helper</b>"}
+    made = (
+        Correction("leave_out", "image", start_s=start + 0.3, stop_s=start + 1.0, **by),
+        Correction("repetition", "squat", start_s=start, stop_s=start + 1.4, **by),
+    )
+    write_corrections(folder / "recording", made)
+    assert _waits(folder)
+    second = solved(folder, monkeypatch, person=1)  # the recording is made anew, and keeps them
+    assert not _waits(folder)
+    assert read_corrections(folder / "recording") == made
+    motion = Motion.load(folder / "motion")
+    assert not motion.poses.valid[made[0].within(motion.poses.times)].any()
+    page = (folder / "report.html").read_text("utf-8")
+    assert "by AB, 2026-02-04T10:15: &lt;b&gt;a helper" in page
+    assert "1 squat; " in page
+    for one in made:  # from two windows, each of which shows both
+        ReviewPages._without(SimpleNamespace(), folder, one, lambda: None)()  # type: ignore[arg-type]
+    assert read_corrections(folder / "recording") == ()
+    assert _waits(folder)
+    third = solved(folder, monkeypatch, person=None)
+    assert second != third == first
+    write_corrections(folder / "recording", made)
+    write_corrections(folder / "recording", ())
+    assert not _waits(folder)  # nothing is to be solved

@@ -105,6 +105,23 @@ def test_files_are_taken_by_their_names_once(store: Store) -> None:
         store.new_file(folder, path.name)
 
 
+@pytest.mark.parametrize(
+    ("name", "inside"),
+    [
+        ("walk_000000000012_keypoints.json", "walk_keypoints"),
+        ("cam01.0012.json", "cam01_keypoints"),
+        ("cam01_000012.json", "cam01_keypoints"),
+        ("walk_000000000012.json", "walk_keypoints"),
+        ("walk_2026.json", FILES),
+        ("walk_20260131.json", FILES),
+        ("camera.json", FILES),
+    ],
+)
+def test_frames_of_a_detector_are_of_one_folder(store: Store, name: str, inside: str) -> None:
+    path = store.new_file(store.path("P07", "2026-01-31", "walk"), name)
+    assert (path.parent.name, path.name) == (inside, name)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="no links")
 def test_links_are_not_followed(store: Store, tmp_path: Path) -> None:
     (tmp_path / "else").mkdir()

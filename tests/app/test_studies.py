@@ -185,6 +185,9 @@ def test_notes_comparisons_plans_and_archives_in_the_browser(store: Store, tmp_p
             until(lambda: note.is_file() and note.read_text() == "limps", "the note is not saved")
             note.write_text("limps, with a cane")
             window.until("[...document.querySelectorAll('textarea')].some(one => one.value === 'limps, with a cane')")
+            note.unlink()
+            note.symlink_to(store.root / "P09" / SUBJECT)
+            window.until("[...document.querySelectorAll('textarea')].every(one => one.value === '')")
             window.open(f"{server.address}people/P07/comparisons")
             motion = store.root / f"P07/{DAYS[0]}/walk/motion/motion.h5"
             motion.write_bytes(motion.read_bytes()[:5000])

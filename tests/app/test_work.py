@@ -14,12 +14,13 @@ import pytest
 from inertial_support import walking
 from setup_support import pair, walker, write_keypoints, write_sensors
 
+from rtof_kin.app import store as store_module
 from rtof_kin.app import work as module
 from rtof_kin.app.sources import MAP, write_map
 from rtof_kin.app.store import State, Store
 from rtof_kin.app.work import Stages, Work
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.setup.init import read_findings
 
@@ -174,6 +175,30 @@ def test_a_process_that_ends_without_an_answer_is_said(
     work.ask(first := store.takes()[0])
     until(lambda: store.take(first).state is State.FAILED)
     assert "exit code 3" in store.take(first).said
+    assert not store.take(first).seconds  # no time of a later one is told by it
+
+
+def test_what_a_full_disk_kept_from_being_said_can_be_cancelled(
+    store: Store, work: Work, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_reconstruct", gone)
+    first, write, tried = store.takes()[0], store_module.write_text, list[str]()
+
+    def full(path: Path, text: str, overwrite: bool = False) -> None:
+        if '"failed"' in text:
+            tried.append(text)
+            raise WritingError(f"{path}: cannot be written ([Errno 28] No space left on device); name another file")
+        write(path, text, overwrite)
+
+    monkeypatch.setattr(store_module, "write_text", full)
+    work.ask(first)
+    until(lambda: bool(tried) and not work.busy(first))
+    assert store.take(first).state is State.RUNNING
+    work.cancel(first)
+    assert store.take(first).state is State.DRAFT
+    store.change(first, state=State.DONE)
+    work.cancel(first)  # pressed too late
+    assert store.take(first).state is State.DONE
 
 
 def test_time_left_is_of_this_stage_and_of_the_later_ones_of_an_earlier_run(monkeypatch: pytest.MonkeyPatch) -> None:
