@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import datetime
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
@@ -98,8 +98,8 @@ class ReviewPages(Frame):
             kind = ui.select(choices, label=TEXTS.correction).classes("w-64")
             start = ui.number(TEXTS.from_s, format="%.2f").classes("w-24")
             stop = ui.number(TEXTS.to_s, format="%.2f").classes("w-24")
-            who = ui.input(TEXTS.who_mends, value=self.who).classes("w-32")
-            why = ui.input(TEXTS.why).classes("w-56")
+            who = ui.input(TEXTS.who_mends, value=self.who).classes("w-28")
+            why = ui.input(TEXTS.why).classes("w-48")
 
             def add() -> None:
                 if not kind.value or not who.value.strip() or not why.value.strip():
@@ -155,5 +155,6 @@ def _words(one: Correction) -> str:
     """Return a correction in the words of the page."""
     usual = TEXTS.leave_out_sensor.format(name=one.what)
     what = dict(TEXTS.corrections).get(f"{one.kind} {one.what}".strip(), usual)
-    _, _, rest = str(replace(one, kind="leave_out", what="it")).partition("leave out it")
-    return f"{what}{rest}"
+    ends = [f"{at:.2f}" if isfinite(at) else "..." for at in one.span][: 1 if one.kind in EVENTS else 2]
+    where = f", {' - '.join(ends)} s" if set(ends) != {"..."} else ""
+    return f"{what}{where} ({one.who}, {one.when.replace('T', ' ')}): {one.why}"

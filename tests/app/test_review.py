@@ -100,7 +100,7 @@ def test_a_range_is_chosen_corrected_and_taken_back(take: Path, server: Server, 
         window.fill("Who (initials)", "AB")
         window.fill("Why", "<b>a helper</b>")
         window.press("Enter")
-        window.says("Leave out the picture from")
+        window.says(f"Leave out the picture, {start:.2f} - {stop:.2f} s (AB, ")
         window.says("<b>a helper</b>")
         window.says("What was corrected is not in the result yet.")
         (one,) = read_corrections(take / "recording")
@@ -109,7 +109,7 @@ def test_a_range_is_chosen_corrected_and_taken_back(take: Path, server: Server, 
         assert not window.layout_faults()
         assert not [error for error in window.errors if server.address in error]
         window.click(window.value(f"{TAKE_BACK}.ariaLabel"))
-        window.until("!document.body.innerText.includes('Leave out the picture from')")
+        window.until("!document.body.innerText.includes('Leave out the picture, ')")
         assert read_corrections(take / "recording") == ()
 
 
