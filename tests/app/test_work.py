@@ -181,8 +181,11 @@ def test_a_process_that_ends_without_an_answer_is_said(
 def test_what_a_full_disk_kept_from_being_said_can_be_cancelled(
     store: Store, work: Work, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_reconstruct", gone)
     first, write, tried = store.takes()[0], store_module.write_text, list[str]()
+
+    def failed(_: Work, folder: Path) -> dict[str, Any]:
+        store.change(folder, state=State.RUNNING)
+        return {"state": State.FAILED}
 
     def full(path: Path, text: str, overwrite: bool = False) -> None:
         if '"failed"' in text:
@@ -190,6 +193,7 @@ def test_what_a_full_disk_kept_from_being_said_can_be_cancelled(
             raise WritingError(f"{path}: cannot be written ([Errno 28] No space left on device); name another file")
         write(path, text, overwrite)
 
+    monkeypatch.setattr(Work, "_reconstructed", failed)
     monkeypatch.setattr(store_module, "write_text", full)
     work.ask(first)
     until(lambda: bool(tried) and not work.busy(first))
