@@ -105,7 +105,7 @@ HOSTILE = {
         (member("P07/zeros.csv", bytes(2**20)), "too much for its size"),
         (twice, "is there twice"),
     ],
-    ids=str,
+    ids=[f"file {number}" for number in range(len(HOSTILE))] + ["a link", "a device", "zeros", "twice"],
 )
 def test_hostile_archives_leave_nothing(
     add: Callable[[zipfile.ZipFile], None], said: str, other: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
