@@ -12,8 +12,10 @@ import pytest
 from app_support import Server, Window
 from browser_support import needs_browser
 
+from rtof_kin.app.store import Store
 from rtof_kin.core.resources import model_path
 from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.summary_file import read_summary
 from rtof_kin.simulation.simulate import write_raw_files
 
 pytest.importorskip("nicegui")
@@ -81,6 +83,8 @@ def test_first_person_to_report_over_a_cancelled_run_and_a_killed_server(
     window.click("Reconstruct")
     window.says("from image to space", 60)
     window.click("Cancel")
+    window.says("Learn from this recording")
+    Store(workspace).change(workspace / "P07/2026-02-03/walk", learn=True)
     window.says("draft")
     window.click("Reconstruct")
     window.says("What was found", 120)
@@ -97,6 +101,8 @@ def test_first_person_to_report_over_a_cancelled_run_and_a_killed_server(
     assert not [error for error in window.errors if server.address in error]
     take = workspace / "P07/2026-02-03/walk"
     assert not [path for path in take.rglob("*") if path.stat().st_mode & 0o077]
+    assert read_summary(take / "motion" / "summary.json").session.subject == "P07"
+    assert Store(workspace).take(take).learned[0].startswith("P07: ")
     assert {"recording", "motion", "angles", "report.html"} <= {path.name for path in take.iterdir()}
     window.open(f"{server.address}results/P07/2026-02-03/walk/report.html")
     for line in ("Who", "What", "How good", "Careful", "Findings"):
