@@ -15,9 +15,9 @@ from rtof_kin.app.work import REVIEW
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.files.manifest import MANIFEST, make_private
+from rtof_kin.setup.sources import VIDEO_SUFFIXES
 
 _COMMENT: Final = b"rtof-kin person 1"
-_VIDEOS: Final = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts", ".3gp", ".wmv")
 _MOST_FILES, _RATIO = 100_000, 100  # the latter of the size of all files and that of the archive
 _SMALL: Final = 2**28  #: [bytes] that an archive may have whatever its own size, and that stay free on the disk
 
@@ -28,7 +28,7 @@ def write_archive(store: Store, person: str, videos: bool, path: Path) -> list[s
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1, strict_timestamps=False) as archive:
         archive.comment = _COMMENT
         for place in (root, *sorted(root.rglob("*"))):
-            name, video = place.relative_to(root.parent).as_posix(), place.suffix.lower() in _VIDEOS
+            name, video = place.relative_to(root.parent).as_posix(), place.suffix.lower() in VIDEO_SUFFIXES
             if place.is_symlink() or not _is_taken(name, place.is_dir()) or (video and not videos):
                 left_out.append(name)
             else:

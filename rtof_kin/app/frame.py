@@ -160,17 +160,19 @@ class Frame:
         said = TEXTS.not_written.format(error=error.strerror) if isinstance(error, OSError) else str(error)
         self.ui.notify(worded(said), type="negative", multi_line=True, timeout=10_000)
 
-    def answer(self, find: Callable[..., Path], *names: str) -> Any:
-        """Return a page that was made as an answer, or why there is none."""
+    def answer(self, find: Callable[[], Path], sandbox: bool = True, **how: Any) -> Any:
+        """Return a file as an answer, or why there is none. `sandbox`: it is a page that reaches nothing of the
+        application. `how`: of Starlette's `FileResponse`.
+        """
         answers = optional("starlette.responses", "app")
         try:
-            path = find(*names)
+            path = find()
         except RtofError as error:
             return answers.PlainTextResponse(str(error), 404)
         if not path.is_file() or path.is_symlink():
             return answers.PlainTextResponse(TEXTS.no_file, 404)
-        policy = f"sandbox {SANDBOX} allow-popups; frame-ancestors 'self'"
-        return answers.FileResponse(path, headers={"content-security-policy": policy, "cache-control": "no-store"})
+        policy = {"content-security-policy": f"sandbox {SANDBOX} allow-popups; frame-ancestors 'self'"}
+        return answers.FileResponse(path, headers={"cache-control": "no-store"} | (policy if sandbox else {}), **how)
 
     def button(self, text: str, action: Callable[..., Any], *fields: Any, props: str = "") -> Any:
         """A button, which is returned; Enter in one of the fields presses it too."""
@@ -264,6 +266,10 @@ class Frame:
     def link(self, *names: str) -> None:
         """A link to the page of a person or a recording."""
         self.ui.link(names[-1], "/".join(("/people", *names))).classes("text-lg")
+
+    def page_of(self, folder: Path, *more: str) -> str:
+        """Return the address of the page of a recording, or of one below it."""
+        return "/".join(("/people", *folder.relative_to(self.store.root).parts, *more))
 
     def address(self, folder: Path, file: str) -> str:
         """Return the address of a file of a recording."""

@@ -120,8 +120,8 @@ class RecordPages(Frame):
             if (last := self._last) is not None and last.said:
                 self.ui.label(last.said).props("role=alert").classes("doubt text-lg")
             elif last is not None and last.folder.is_dir():
-                names = last.folder.relative_to(self.store.root).parts
-                self.ui.link(TEXTS.recorded.format(name=names[-1]), "/".join(("/people", *names))).classes("text-lg")
+                said = TEXTS.recorded.format(name=last.folder.name)
+                self.ui.link(said, self.page_of(last.folder)).classes("text-lg")
             self._form(person, visit, show)
 
         with self.frame(TEXTS.record, person, visit):

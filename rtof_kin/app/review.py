@@ -13,8 +13,7 @@ from rtof_kin.app.store import AT_WORK, Store
 from rtof_kin.app.texts import TEXTS
 from rtof_kin.app.work import REVIEW, VIDEO, write_review
 from rtof_kin.body.motion_file import MOTION as MOTION_FILE
-from rtof_kin.core.errors import InvalidInputError, RtofError
-from rtof_kin.core.packages import optional
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.corrections import EVENTS, Correction
 from rtof_kin.recording.index import INDEX, read_corrections, write_corrections
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
@@ -44,12 +43,16 @@ class ReviewPages(Frame):
             folder = self.store.path(person, visit, name)
             if not (folder / MOTION / MOTION_FILE).is_file():
                 raise InvalidInputError(TEXTS.no_result)
-            self.ui.link(TEXTS.to_recording, f"/people/{person}/{visit}/{name}")
+            self.ui.link(TEXTS.to_recording, self.page_of(folder))
             with self.ui.expansion(TEXTS.mend, value=True).classes("w-full"):
-                self.shown(
-                    lambda: (self.store.path(person, visit, name), *self._look(folder)),
-                    lambda show: self._made(folder, show),
-                )
+
+                def look() -> Any:
+                    self.store.path(person, visit, name)  # still there
+                    files = folder / RECORDING / INDEX, folder / MOTION / SUMMARY
+                    changed = [file.stat().st_mtime_ns if file.is_file() else 0 for file in files]
+                    return self.store.take(folder).state, changed
+
+                self.shown(look, lambda show: self._made(folder, show))
                 self._form(folder)
             if not _written(folder):
                 told = self.ui.label(TEXTS.being_made).props("role=status")
@@ -61,19 +64,14 @@ class ReviewPages(Frame):
 
     def file(self, person: str, visit: str, name: str, file: str) -> Any:
         """Return the page of the result, or the video."""
-        answers = optional("starlette.responses", "app")
-        try:
-            folder = self.store.path(person, visit, name)
-            path = folder / REVIEW if file == "page" else Store.video(folder) if file == VIDEO else None
-        except RtofError as error:
-            return answers.PlainTextResponse(str(error), 404)
-        if path is None or not path.is_file() or path.is_symlink():
-            return answers.PlainTextResponse(TEXTS.no_file, 404)
-        kind = {"media_type": "video/mp4"} if file == VIDEO else {}  # whatever its name says
-        return answers.FileResponse(path, headers={"cache-control": "no-store"}, **kind)
 
-    def _look(self, folder: Path) -> Any:
-        return read_corrections(folder / RECORDING), self.store.take(folder).state, _waits(folder)
+        def find() -> Path:
+            folder = self.store.path(person, visit, name)
+            found = folder / REVIEW if file == "page" else Store.video(folder) if file == VIDEO else None
+            return found or folder / "-"
+
+        kind = {"media_type": "video/mp4"} if file == VIDEO else {}  # whatever its name says
+        return self.answer(find, sandbox=False, **kind)
 
     def _made(self, folder: Path, show: Show) -> None:
         """List the corrections, each of which can be taken back, and offer to solve again."""
@@ -133,7 +131,7 @@ class ReviewPages(Frame):
 
     def _solve(self, folder: Path) -> None:
         self.work.ask(folder)
-        self.ui.navigate.to("/".join(("/people", *folder.relative_to(self.store.root).parts)))
+        self.ui.navigate.to(self.page_of(folder))
 
 
 def _written(folder: Path) -> bool:

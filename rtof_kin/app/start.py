@@ -99,7 +99,7 @@ def tour(frame: Frame) -> None:
 def _demo(frame: Frame) -> None:
     async def add() -> None:
         folder = await frame.run.io_bound(add_demo, frame.store)
-        frame.ui.navigate.to("/".join(("/people", *folder.relative_to(frame.store.root).parts)))
+        frame.ui.navigate.to(frame.page_of(folder))
 
     frame.heading(TEXTS.demo_title, 2)
     frame.ui.label(TEXTS.demo_about)

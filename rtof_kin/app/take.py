@@ -107,7 +107,7 @@ class TakePages(Frame):
         self.heading(TEXTS.result, 2)
         address = self.address(folder, PAGE)
         with self.row().classes("gap-8"):
-            ui.link(TEXTS.to_review, "/".join(("/people", *folder.relative_to(self.store.root).parts, "review")))
+            ui.link(TEXTS.to_review, self.page_of(folder, "review"))
             ui.link(TEXTS.report, address, new_tab=True)
         ui.element("iframe").props(f'src="{self.prefix}{address}" title="{TEXTS.result}" sandbox="{SANDBOX}"')
         downloads(self, folder)
