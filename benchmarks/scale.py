@@ -102,7 +102,7 @@ def measure_demo(folder: Path) -> Path:
     for name, seconds in (("a first one", CUTS_S[0]), *((f"{s:g} s, {k}", s) for s in CUTS_S for k in "ab")):
         cut = demo.video[: round(seconds * rate)]
         replace(demo, keypoints=cut, name=name).save(folder / "takes" / name)
-    main(["batch", str(folder / "takes"), "-o", str(folder / "out"), "--chain", CHAIN, "--workers", "1"])
+    main(["batch", str(folder / "takes"), "-o", str(folder / "out"), "--chain", CHAIN, "--threads", "1"])
     table = folder / "out" / "batch.csv"
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith("a first one")]  # it loads the libraries

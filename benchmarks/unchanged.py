@@ -59,8 +59,8 @@ STEPS: list[tuple[str, str]] = [
     ("evaluate", f"evaluate RUN/demo/rtof --truth {DEMO} --clinical -o OUT"),
     ("export", "export RUN/demo/rtof OUT --to csv,ros,parquet,osim,mot,sto,trc,c3d,bvh"),
     ("report.html", "report RUN/people/gait_1 -o OUT"),
-    ("study", "study IN/short -o OUT --seconds 3 --path ranked --no-figures --workers 1"),
-    ("plan", "plan squat -o OUT --draws 1 --workers 1"),
+    ("study", "study IN/short -o OUT --seconds 3 --path ranked --no-figures --threads 1"),
+    ("plan", "plan squat -o OUT --draws 1 --threads 1"),
     ("simulate", f"simulate {WALK} -o OUT"),
     ("live.npz", "benchmarks.unchanged --replay IN/short OUT"),
 ]

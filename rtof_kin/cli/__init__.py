@@ -26,7 +26,7 @@ COMMANDS: Final = {
 }
 """What a person wants -> command -> module that has it."""
 LIMITED: Final = ("app", "run", "reconstruct", "study", "plan", "live")
-"""Commands that limit the threads of the numerical libraries, as --threads says, before these are loaded."""
+"""Commands that limit the threads of the numerical libraries, before these are loaded."""
 OLD_COMMANDS: Final = {
     "init": "run FILE... --only recording -o FOLDER",
     "join": "run FILE... --second FILE... -o OUT",
@@ -43,7 +43,10 @@ OLD_COMMANDS: Final = {
     "reproduce": "reconstruct, on the recording that export --to archive has put into the file",
 }
 """Command of an earlier version -> what does it now."""
-OLD_OPTIONS: Final = {("report", "--subject"): "--code; --subject is the person's file, of other commands"}
+OLD_OPTIONS: Final = {
+    ("report", "--subject"): "--code; --subject is the person's file, of other commands",
+    **{(name, "--workers"): "--threads" for name in ("batch", "study", "plan", "evaluate")},
+}
 """Command and option of an earlier version -> what does it now."""
 
 
@@ -81,7 +84,7 @@ def dispatch(arguments: list[str]) -> int:
 
     _check_name(arguments)
     if arguments and arguments[0] in LIMITED:
-        limit_threads(_threads(arguments))
+        limit_threads()
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:
         return int(app(arguments)(arguments) or 0)
@@ -176,15 +179,6 @@ def _check_name(arguments: list[str]) -> None:
     for option in (word.partition("=")[0] for word in arguments[1:]):
         if (now := OLD_OPTIONS.get((arguments[0], option))) is not None:
             raise InvalidInputError(f"{arguments[0]} {option}: is now {now}")
-
-
-def _threads(arguments: list[str]) -> int | None:
-    """Return the number after --threads, as far as it is one."""
-    from itertools import pairwise
-
-    words = [part for word in arguments for part in word.split("=", 1)]
-    texts = [value for name, value in pairwise(words) if name == "--threads"]
-    return int(texts[-1]) if texts and texts[-1].lstrip("-").isdigit() else None
 
 
 def _sentence(error: CycloptsError, arguments: list[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import Output, Overwrite, Workers, command
+from rtof_kin.cli.options import Output, Overwrite, Threads, command
 from rtof_kin.cli.terminal import STYLES, ended_by_signals, err, job_progress, out, remark, say
 from rtof_kin.core.errors import InvalidInputError
 
@@ -20,7 +20,7 @@ def batch(
     *,
     output: Output,
     chain: str = "reconstruct,report",
-    workers: Workers = None,
+    threads: Threads = None,
     memory_per_job: Annotated[float, Parameter(metavar="GB")] = 2.0,
     engine: Literal["processes", "ray"] = "processes",
     address: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
@@ -56,7 +56,7 @@ def batch(
         if (name := (part.split() or [""])[0]) in OLD_COMMANDS:
             raise InvalidInputError(f"chain: {name} is now {OLD_COMMANDS[name]}")
     memory = memory_per_job * 1e9
-    machines: Engine = RayCluster(address, workers, memory) if engine == "ray" else Processes(workers, memory)
+    machines: Engine = RayCluster(address, threads, memory) if engine == "ray" else Processes(threads, memory)
     steps = read_chain(chain, command_names() - {"batch"})
     entries = find_recordings(source, output)
     work = Batch(source, entries, steps, output, rtof_kin.__version__, Shard.of(shard))

@@ -8,24 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.table import Table
 
-from rtof_kin.cli.options import (
-    SOLVER,
-    Fields,
-    Figures,
-    File,
-    Model,
-    Overwrite,
-    Paper,
-    Seed,
-    Threads,
-    Workers,
-    command,
-    written,
-)
+from rtof_kin.cli.options import SOLVER, Fields, Figures, File, Model, Overwrite, Paper, Seed, Threads, command, written
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress, say
 from rtof_kin.core.choices import Repeated
-from rtof_kin.core.environment import limit_threads, without_warnings
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -132,11 +119,10 @@ def study(
     path: Literal["greedy", "ranked"] | None = None,
     seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
     task: Model,
-    workers: Workers = None,
+    threads: Threads = None,
     figures: Figures = True,
     settings: Annotated[ReconstructionSettings, SOLVER],
     paper: Paper = False,
-    threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Contribution of each sensor of a recording, angle by angle.
@@ -158,7 +144,6 @@ def study(
     from rtof_kin.reporting.sensor_study.document import document, remove_results, write_study
     from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
-    limit_threads(threads)
     source = Recording.load(recording)
     camera = source.keypoints is not None
     settings = solver_settings(settings, paper, "rtof" if camera else "imu")
@@ -176,7 +161,7 @@ def study(
             settings=settings,
             longest=seconds,
             folder=runs,
-            workers=workers,
+            workers=threads,
             progress=update,
         )
     print_headline(found.verdict, "all sensors: ")
@@ -307,7 +292,6 @@ def plan(
     search: bool = True,
     seed: Seed = 0,
     task: Annotated[ReconstructionTask, Fields("model subject")],
-    workers: Workers = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -332,7 +316,6 @@ def plan(
     from rtof_kin.plan.setup import planned
     from rtof_kin.reporting.document import show
 
-    limit_threads(threads)
     if movements:
         table = Table("movement", "what it is")
         for name, movement in MOVEMENTS.items():
@@ -347,7 +330,7 @@ def plan(
     with progress() as update:
         protocol, setup = planned(str(what), lifter, update, task.person())
         found = predict(
-            protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=workers, progress=update
+            protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=threads, progress=update
         )
     show(document(found), out)
     if output is not None:

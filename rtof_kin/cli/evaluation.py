@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Group, Parameter
 
-from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command, written
+from rtof_kin.cli.options import Fields, Output, Overwrite, Threads, command, written
 from rtof_kin.cli.terminal import job_progress, out, print_scores, progress, say, with_zero_motion
 from rtof_kin.core.choices import Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
@@ -140,7 +140,7 @@ def total_capture(
     space: Space = "joint",
     output: Output = Path("out/total_capture"),
     json: Json = None,
-    workers: Workers = None,
+    threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
     """The paper's protocol and tables on Total Capture.
@@ -154,7 +154,7 @@ def total_capture(
     """
     studies = space == "cartesian" and settings.get("studies", True)
     how = {**settings, "space": space, "studies": studies}
-    _measure("total-capture", root, output, json, overwrite=overwrite, workers=workers, **how)
+    _measure("total-capture", root, output, json, overwrite=overwrite, workers=threads, **how)
 
 
 @evaluate.command
@@ -172,7 +172,7 @@ def human36m(
     ],
     output: Output = Path("out/human36m"),
     json: Json = None,
-    workers: Workers = None,
+    threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
     """The paper's protocol and table on Human3.6M.
@@ -180,7 +180,7 @@ def human36m(
     DIR holds the archives that VideoPose3D makes of the dataset (data_3d_h36m.npz and data_2d_h36m_gt.npz or a
     detector's). Vision alone: lift and rto, 17 joints, S9 and S11. The same command resumes after an interruption.
     """
-    _measure("human36m", root, output, json, overwrite=overwrite, workers=workers, **settings)
+    _measure("human36m", root, output, json, overwrite=overwrite, workers=threads, **settings)
 
 
 def _angles_of(dataset: str) -> Callable[..., int]:
@@ -204,7 +204,7 @@ def _angles_of(dataset: str) -> Callable[..., int]:
         heights: Annotated[Path | None, Parameter(metavar="CSV")] = None,
         only_list: Annotated[bool, Parameter(name="--list")] = False,
         output: Output = Path("out/validation"),
-        workers: Workers = None,
+        threads: Threads = None,
         overwrite: Overwrite = False,
     ) -> int:
         """Errors of joint angles on a public data set.
@@ -226,7 +226,7 @@ def _angles_of(dataset: str) -> Callable[..., int]:
             for take in ValidationProtocol(root, dataset, **settings).chosen:
                 out.print(f"{take.key}  {take.kind}", soft_wrap=True, highlight=False)
             return 0
-        return _measure(dataset, root, output, overwrite=overwrite, workers=workers, **settings)
+        return _measure(dataset, root, output, overwrite=overwrite, workers=threads, **settings)
 
     return measured
 

@@ -21,7 +21,6 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_typ
 
 from cyclopts import Parameter, Token, convert
 
-from rtof_kin.core.environment import USUAL
 from rtof_kin.setup.settings import ReconstructionTask, SetupSettings
 
 Function = Callable[..., Any]
@@ -195,14 +194,8 @@ FetchModels = Annotated[
 ]
 Seconds = Annotated[float | None, Parameter(metavar="S", help="use as many seconds at most")]
 Seed = Annotated[int, Parameter(help="of everything drawn at random; the same seed, the same numbers")]
-Workers = Annotated[int | None, Parameter(metavar="N", help="processes; one per core if not given")]
 Threads = Annotated[
-    int | None,
-    Parameter(
-        metavar="N",
-        help="threads of numerical libraries (BLAS, OpenMP, torch); more than a few gain nothing, since matrices are "
-        f"small; default: OMP_NUM_THREADS, else {USUAL}",
-    ),
+    int | None, Parameter(metavar="N", help="processor cores that are used; default: all that this process may use")
 ]
 Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
 _SOLVER: Final = "frames space guards lift_with_sensors"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import CERTIFIED, PERSON, Fields, Overwrite, Paper, Threads, command, written
+from rtof_kin.cli.options import CERTIFIED, PERSON, Fields, Overwrite, Paper, command, written
 from rtof_kin.cli.terminal import (
     line,
     print_calibration,
@@ -21,7 +21,7 @@ from rtof_kin.cli.terminal import (
     say,
     with_zero_motion,
 )
-from rtof_kin.core.environment import limit_threads, without_warnings
+from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.markers.settings import TRIALS, MarkerSettings
@@ -60,7 +60,7 @@ def reconstruct(
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
     task: Annotated[
-        ReconstructionTask, Fields(f"mode model lift layout calibrate calibration events figures {PERSON}")
+        ReconstructionTask, Fields(f"mode model lift layout calibrate calibration events figures threads {PERSON}")
     ],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
@@ -70,7 +70,6 @@ def reconstruct(
     markers: Annotated[
         MarkerSettings, Fields("trials marker_set marker_table marker_person up", group="Marker trials")
     ],
-    threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct the motion of a recording, or of a marker trial.
@@ -92,7 +91,6 @@ def reconstruct(
         calibrated: with --calibrate-only: also write the calibrated recording to this folder
         verbose: print every calibrated quantity too
     """
-    limit_threads(threads)
     settings = solver_settings(settings, paper, task.mode, calibrate_only)
     if task.layout is not None:
         from rtof_kin.vision.layouts import layout_named

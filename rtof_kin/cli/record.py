@@ -21,13 +21,12 @@ from rtof_kin.cli.options import (
     Paper,
     Seconds,
     Seed,
-    Threads,
     command,
     written,
 )
 from rtof_kin.cli.reconstruction import reconstruct_and_print, solver_settings
 from rtof_kin.cli.terminal import accuracy, line, out, print_scores, progress, remark, say, with_zero_motion
-from rtof_kin.core.environment import RESULT_WARNINGS, limit_threads, without_warnings
+from rtof_kin.core.environment import RESULT_WARNINGS, without_warnings
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -64,7 +63,7 @@ def run(
     ],
     fetch_models: FetchModels = None,
     second: Annotated[SecondCamera, Fields("second second_person second_camera synchronised", group="Second camera")],
-    task: Annotated[ReconstructionTask, Fields(f"model lift calibration figures {PERSON}", group="Motion")],
+    task: Annotated[ReconstructionTask, Fields(f"model lift calibration figures threads {PERSON}", group="Motion")],
     calibrate: Annotated[bool | None, Parameter(group="Motion")] = None,
     analysis: Annotated[
         AnalysisSettings, Fields("sex repetitions from_standing", weight_kg="weight", group="Analysis")
@@ -72,7 +71,6 @@ def run(
     settings: Annotated[ReconstructionSettings, Fields(CERTIFIED, group="Solver", defaults={"certificate": True})],
     paper: Paper = False,
     seconds: Seconds = None,
-    threads: Threads = None,
     overwrite: Overwrite = False,
 ) -> None:
     """From a video and sensors to a report, in one command.
@@ -92,7 +90,6 @@ def run(
             mounting, headings and bones are used as they were found
         seconds: of the demo, use as many seconds at most
     """
-    limit_threads(threads)
     from rtof_kin.setup.init import make_recording
     from rtof_kin.setup.run import run as run_steps
 

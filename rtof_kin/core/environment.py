@@ -18,10 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.core.errors import InvalidInputError
-
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-USUAL = 1  #: Default number of threads
 
 
 RESULT_WARNINGS: Final = "rtof_kin.reconstruction.pipeline.warnings"
@@ -48,20 +45,12 @@ def threads() -> int | None:
     return int(text) if text.isdecimal() else None
 
 
-def limit_threads(count: int | None) -> None:
-    """Set the number of threads of libraries loaded from now on; None: that of the environment, else `USUAL`.
-    `InvalidInputError`: less than one, or libraries are loaded already with another number.
+def limit_threads() -> None:
+    """Give numerical libraries the threads of the environment, by default one, unless they are loaded already: matrices
+    are small, and a second thread doubles the processor time of the demo without a gain.
     """
-    if count is not None and count < 1:
-        raise InvalidInputError(f"threads: {count}; give 1 or more")
-    if "numpy" in sys.modules:
-        if count not in (None, threads()):
-            raise InvalidInputError(
-                f"threads: numerical libraries are loaded already; set {VARIABLES[0]}={count} before Python starts"
-            )
-        return
-    for name in VARIABLES:
-        os.environ[name] = str(count or threads() or USUAL)
+    if "numpy" not in sys.modules:
+        os.environ.update(dict.fromkeys(VARIABLES, str(threads() or 1)))
 
 
 def return_free_memory() -> None:

@@ -1,4 +1,4 @@
-"""Long recordings: reconstructed part by part, in bounded memory.
+"""Long recordings: reconstructed part by part, in bounded memory, and several parts at once on several cores.
 
 Parts overlap by a margin that the lifter, the filters and the fragments forget, and begin where a fragment of the
 whole begins, so the frames that are kept are those of a reconstruction in one piece but for what is estimated from a
@@ -22,12 +22,13 @@ from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
-from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError, UnknownNameError
+from rtof_kin.core.jobs import Ended, Processes
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, lost, sample
 from rtof_kin.reconstruction.pipeline import explaining, run
-from rtof_kin.reconstruction.prepare import Job, Progress, even_times
+from rtof_kin.reconstruction.prepare import Job, Progress, even_times, silent
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import Given, SetupEstimate, estimate_setup, excerpt
 from rtof_kin.reconstruction.sensors_alone import frame_times
@@ -40,6 +41,7 @@ LONG_SECONDS: Final = 120.0  #: [s] Recordings beyond this are reconstructed in 
 _STEP_SECONDS: Final = 2.0  #: [s] by which video and sensors may be out of step
 _SLICES: Final = 12
 _SLICE_SECONDS: Final = 4.0  #: Number and length [s] of the slices of a recording by which it is calibrated
+_PART_BYTES: Final = 0.6e9  #: Memory of a process that solves parts
 _FEW_HZ: Final = 5.0  #: Frames per second that show where in a recording the person is and moves
 
 
@@ -89,6 +91,7 @@ def reconstruct_in_parts(
     known: SelfCalibration | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
+    workers: int = 1,
 ) -> Iterator[Reconstruction]:
     """Yield the reconstruction of a recording part by part: one part, unless it is long.
 
@@ -99,6 +102,8 @@ def reconstruct_in_parts(
         skeleton, mode, lifter, settings, calibrate, priors, calibration, known: as for `reconstruct`.
         progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
         seconds: length of a part. Default: `PART_SECONDS`, and one part where the recording is not `is_long`.
+        workers: processes, one thread each, that solve parts side by side; 1: none but this one. The result is the
+            same to the bit where this one has one thread, too.
 
     Raises:
         RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration, and those of
@@ -127,17 +132,13 @@ def reconstruct_in_parts(
     certified, spans = -1, [times[part.start : part.stop] for part in parts]
     if settings.certificate:
         certified = len(parts) // 2 if source.frame_times is None else _liveliest(seen(), spans)
+    one = job if workers == 1 else replace(job, progress=silent)
+    tasks = _tasks(source, one, mode, setup, parts, times, certified)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
-    for number, part in enumerate(parts):
+    for number, (part, found) in enumerate(zip(parts, _solved_in_order(tasks, workers), strict=True)):
         report("parts", number, len(parts))
-        own = times[part.first : part.last]
-        try:
-            recording = _with_sensors(_between(source, own), job.recording)
-            once = replace(setup, warnings=setup.warnings if number == 0 else ())
-            of_part = replace(settings, certificate=number == certified)
-            found = run(replace(job, recording=recording, times=own, settings=of_part), mode, once)
-        except RtofError as error:
-            missing.append((times[part.start : part.stop], error))
+        if isinstance(found, RtofError):
+            missing.append((times[part.start : part.stop], found))
             continue
         like = like or sample(found)
         yield from _lost(like, source, job, setup, missing)
@@ -150,6 +151,51 @@ def reconstruct_in_parts(
         raise missing[0][1]
     yield from _lost(like, source, job, setup, missing)
     report("parts", len(parts), len(parts))
+
+
+_Task = Callable[[], Reconstruction]
+
+
+def _tasks(
+    source: RecordingSource,
+    job: Job,
+    mode: Mode,
+    setup: SetupEstimate,
+    parts: Sequence[Part],
+    times: Array,
+    certified: int,
+) -> Iterator[_Task | RtofError]:
+    """Yield what solves each part, or why it cannot be read; only the one with the number `certified` is certified."""
+    for number, part in enumerate(parts):
+        own = times[part.first : part.last]
+        of_part = replace(job.settings, certificate=number == certified)
+        once = replace(setup, warnings=setup.warnings if number == 0 else ())
+        try:
+            recording = _with_sensors(_between(source, own), job.recording)
+            yield partial(run, replace(job, recording=recording, times=own, settings=of_part), mode, once)
+        except RtofError as error:
+            yield error
+
+
+def _solved_in_order(tasks: Iterable[_Task | RtofError], workers: int) -> Iterator[Reconstruction | RtofError]:
+    """Yield what each part gave, in their order."""
+    if workers == 1:
+        yield from map(_solved, tasks)
+        return
+    numbered = ((str(number), task) for number, task in enumerate(tasks))
+    early, due = dict[str, Ended](), 0
+    for ended in Processes(workers, memory_per_job=_PART_BYTES).run(_solved, numbered):
+        early[ended.key] = ended
+        while (found := early.pop(str(due), None)) is not None:
+            due += 1
+            yield SolverError(found.lost) if found.lost else found.answer
+
+
+def _solved(task: _Task | RtofError) -> Reconstruction | RtofError:
+    try:
+        return task if isinstance(task, RtofError) else task()
+    except RtofError as error:
+        return error
 
 
 def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:

@@ -38,6 +38,10 @@ _LOWEST_ANKLE: Final = 0.02  #: [m] Lowest ankle over a floor; a lower estimate 
 _log = logging.getLogger(__name__)
 
 
+def silent(*_: object) -> None:
+    """Take progress and say nothing; a process that is started can be given it."""
+
+
 @dataclass(frozen=True)
 class Job:
     """What `reconstruct` was called with; the bodies have the lifter's pose prior if it has one."""
@@ -65,8 +69,7 @@ class Job:
         if prior is not None:
             recording = replace(recording, model_prior=prior)
             skeleton = None if skeleton is None else skeleton.with_prior(prior)
-        progress = progress or (lambda *_: None)
-        return cls(recording, skeleton, lifter, settings or ReconstructionSettings(), progress)
+        return cls(recording, skeleton, lifter, settings or ReconstructionSettings(), progress or silent)
 
     def sensed(self, mode: Mode) -> bool:
         """Return whether a mode uses the recording's sensors beside the image."""
@@ -170,7 +173,7 @@ class Job:
         calibration: SelfCalibration | None = None,
     ) -> tuple[Prepared, PoseSequence]:
         """Prepare and solve another version of the recording, without covariances and progress."""
-        own = replace(self, recording=recording, progress=lambda *_: None)
+        own = replace(self, recording=recording, progress=silent)
         prepared = own.prepare(mode, rejected, calibration)
         return prepared, own.solve(prepared, confidence=False).poses
 

@@ -20,6 +20,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExist
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
@@ -230,6 +231,7 @@ def reconstruct_folder(
             "calibrate": task.calibrate,
             "known": person.calibration if known is None else read_self_calibration_toml(known),
             "progress": progress,
+            "workers": task.threads or usable_cores(),
         }
         body, label = informed.facts.skeleton, f"recording {digest[:8]}"
         found = export(

@@ -80,8 +80,13 @@ class ReconstructionTask:
     """Foot strikes and foot offs on the recording's clock, of a .c3d or a table of Visual3D (.txt, .tsv), that replace
     those that are found."""
     figures: bool = True  #: Draw figures, where matplotlib is installed
+    threads: int | None = field(default=None, compare=False, repr=False)
+    """Processor cores that are used: parts of a recording of more than two minutes are solved side by side; default:
+    all that this process may use."""
 
     def __post_init__(self) -> None:
+        if self.threads is not None and self.threads < 1:
+            raise InvalidInputError(f"--threads {self.threads}: give 1 or more")
         if self.update_subject and self.subject is None:
             raise InvalidInputError("--update-subject needs the person's file; add --subject FILE")
         if self.subject is not None and self.calibration is not None:

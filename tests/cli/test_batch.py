@@ -41,7 +41,7 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 
 def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = cli("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 2, "--memory-per-job", 0)
+    done = cli("batch", takes, "-o", out, "--chain", CHAIN, "--threads", 2, "--memory-per-job", 0)
     assert done.code == 1
     done.says("2 error", f"wrote {out}/batch.csv and {out}/index.html")
     assert "2 failed; the same command tries them again" in done.err
@@ -62,7 +62,7 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
     shutil.rmtree(takes / "garbage")
     shutil.rmtree(takes / "s1" / "cut")
     inode = (out / "s1/good/motion/motion.h5").stat().st_ino
-    again = cli.ok("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 1)
+    again = cli.ok("batch", takes, "-o", out, "--chain", CHAIN, "--threads", 1)
     assert "1/1" in again.err
     assert table(out) == {"s1/good": good}
     assert (out / "s1/good/motion/motion.h5").stat().st_ino == inode
@@ -81,7 +81,7 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
         (["--chain", "view"], "what view reads and writes is not known"),
         (["--address", "host:6379"], "add --engine ray"),
         (["--shard", "2/1"], "shard 2/1"),
-        (["--workers", "0"], "workers: 0"),
+        (["--threads", "0"], "workers: 0"),
         (["--memory-per-job", "100000"], "this machine has"),
     ],
 )
@@ -101,7 +101,7 @@ def test_a_stopped_batch_says_how_to_go_on(sent: signal.Signals, short: Path, tm
         shutil.copytree(short, tmp_path / "takes" / str(k))
     out = tmp_path / "out"
     command = [sys.executable, "-m", "rtof_kin.cli", "batch", str(tmp_path / "takes"), "-o", str(out)]
-    batch = subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True)
+    batch = subprocess.Popen([*command, "--threads", "1"], stderr=subprocess.PIPE, text=True)
     for _ in range(6000):
         if list(out.glob("*/log/reconstruct.txt")) or batch.poll() is not None:
             break

@@ -49,7 +49,7 @@ def test_summary_has_the_audit(reconstructed: Path) -> None:
 
 def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Path, cli: Any) -> None:
     folder = tmp_path / "study"
-    command = ("study", stuck, "-o", folder, "--path", "ranked", "--workers", "1")
+    command = ("study", stuck, "-o", folder, "--path", "ranked", "--threads", "1")
     done = cli.ok(*command)
     done.says("2 sensors: at most 4 reconstructions", "mean difference", "matters most", "0.517 s of")
     names = {path.name for path in folder.iterdir()}

@@ -86,6 +86,18 @@ def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str, monkeypa
                 assert result.value == pytest.approx(image[result.subject], rel=1e-3, abs=1e-3)
 
 
+def test_parts_that_are_solved_side_by_side_are_the_same_to_the_bit(demo: Recording) -> None:
+    unseen = demo.video.times < 2.5
+    confidence = np.where(unseen[:, None], 0.0, demo.video.confidence)
+    recording = replace(demo, keypoints=replace(demo.video, confidence=confidence)).between(0.0, 8.0)
+    one, two = (list(reconstruct_in_parts(recording, mode="lift", seconds=2.0, workers=n)) for n in (1, 2))
+    assert len(one) == len(two) == 4
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.motion.q, b.motion.q)
+        np.testing.assert_array_equal(a.motion.poses.R_world_bone, b.motion.poses.R_world_bone)
+        assert a.warnings == b.warnings
+
+
 def test_where_no_part_can_be_reconstructed_the_error_is_raised(demo: Recording) -> None:
     nobody = replace(demo.video, confidence=np.zeros_like(demo.video.confidence))
     with pytest.raises(InvalidInputError, match="no person was seen"):
