@@ -55,7 +55,7 @@ def run(
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height pose person camera_name phone_log keep_video model_dir provider layout",
+            "height pose person camera_name phone_log keep_video model_dir provider layout every",
             rate_hz="rate",
             size_px="size",
             group="Recording",
@@ -216,7 +216,7 @@ def _detection(setup: SetupSettings, fetch: str | None, update: Progress) -> Det
     def detect(video: Path) -> Detections:
         from rtof_kin.vision.video import detect_video
 
-        return detect_video(video, detector_of(setup, fetch, update), progress=update)
+        return detect_video(video, detector_of(setup, fetch, update), every=setup.every, progress=update)
 
     return detect
 
@@ -227,7 +227,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    setup: Annotated[SetupSettings, Fields("model_dir provider layout")],
+    setup: Annotated[SetupSettings, Fields("model_dir provider layout every")],
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
@@ -259,7 +259,8 @@ def detect(
     wanted = None if setup.layout is None else layout_named(setup.layout)
     detector = detector_of(setup, fetch_models)
     with progress() as update:
-        found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
+        source = int(video) if video.isdigit() else video
+        found = detect_video(source, detector, every=setup.every, seconds=seconds, progress=update)
     write_detections(output, found, overwrite)
     present = found.present
     say(

@@ -108,7 +108,8 @@ def find_people(
     if detect is None:
 
         def detect(path: Path) -> Detections:
-            return detect_video(path, settings.model_dir, provider=settings.provider, progress=progress)
+            provider, every = settings.provider, settings.every
+            return detect_video(path, settings.model_dir, provider=provider, every=every, progress=progress)
 
     wanted = None if settings.layout is None else layout_named(settings.layout)
     found = _detections(sources, video, detect, wanted)
@@ -193,7 +194,7 @@ def _fingerprints(sources: Sources, settings: SetupSettings, made_with: object) 
     log = [settings.phone_log] if settings.phone_log is not None else []
     own = [Path(str(settings.layout))] if is_layout_file(settings.layout) else []
     names = [one.name for one in fields(settings) if one.compare and one.name != "phone_log"]
-    seen = ("rate_hz", "size_px", "model_dir", "keep_video", "layout")
+    seen = ("rate_hz", "size_px", "model_dir", "keep_video", "layout", "every")
     values = {name: str(getattr(settings, name)) for name in names}
     return {
         "files": fingerprint(*sources.paths),

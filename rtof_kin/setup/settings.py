@@ -43,6 +43,9 @@ class SetupSettings:
     MediaPipe's .task; default: what is at hand, downloaded models, else MediaPipe."""
     provider: Provider = field(default="cpu", compare=False)
     """What runs .onnx models: cpu, or cuda (NVIDIA), coreml (Mac), openvino (Intel), each by its own ONNX Runtime."""
+    every: int = 1
+    """Detect the person in every so many frames of a video only, where the detector is slow: the motion has the rate of
+    these frames."""
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ from rtof_kin.vision.person_detector import Detector, choose_detector
 from rtof_kin.vision.video_metadata import frame_count, frame_rate, open_video, slow_motion, upright_image
 
 Progress = Callable[[str, int, int], None]
+_AHEAD: Final = 3  #: Images of a file that are decoded before they are looked at
 _log = logging.getLogger(__name__)
 
 
@@ -47,31 +50,37 @@ def detect_video(
     detector: Detector | str | Path | None = None,
     *,
     provider: Provider = "cpu",
+    every: int = 1,
     seconds: float | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """Detect the people in each frame of a video.
+    """Detect the people in each frame of a video. The next images of a file are decoded meanwhile.
 
     Args:
         source: video file, or number of a webcam; a webcam may be stopped with Ctrl-C.
         detector: one that was not used for another video, or the models for `choose_detector`; None: the one at hand.
         provider: runs .onnx models that are not loaded yet.
+        every: look at every so many frames only: the motion has their rate.
         seconds: duration after which to stop; required for a webcam.
         progress: called with ("detect", frames done, frames in total).
 
     Raises:
         FileFormatError: the video or the models cannot be read, or no person was found.
-        InvalidInputError: a webcam without `seconds`. RtofError: no detector, or the extra is not installed.
+        InvalidInputError: a webcam without `seconds`; `every` is less than 1. RtofError: no detector, or the extra is
+            not installed.
     """
     if isinstance(source, int) and seconds is None:
         raise InvalidInputError(f"webcam {source}: give seconds, the duration of the recording")
+    if every < 1:
+        raise InvalidInputError(f"every: {every}; give 1 or more, as in --every 2 for every second frame")
     chosen = choose_detector(detector, provider) if isinstance(detector, str | Path | None) else detector
     times: list[float] = []
     people: list[list[Person]] = []
     spent: list[float] = []
-    with closing(chosen):
+    frames = read_video(source, every)
+    with closing(chosen), closing(frames if isinstance(source, int) else _ahead(frames)) as coming:
         try:
-            for frame in read_video(source):
+            for frame in coming:
                 if seconds is not None and frame.time > seconds:
                     break
                 began = time.perf_counter()
@@ -92,8 +101,17 @@ def detect_video(
     return replace(found, detector=f"{chosen.name}, {rate_hz:.3g} frames per second")
 
 
-def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
-    """Generate the frames of a video file or a webcam, upright.
+def _ahead(frames: Generator[VideoFrame]) -> Generator[VideoFrame]:
+    """Generate frames that a thread decodes while the ones before are looked at."""
+    with closing(frames), ThreadPoolExecutor(1) as thread:
+        coming = deque(thread.submit(next, frames, None) for _ in range(_AHEAD))
+        while (frame := coming.popleft().result()) is not None:
+            yield frame
+            coming.append(thread.submit(next, frames, None))
+
+
+def read_video(source: str | Path | int, every: int = 1) -> Generator[VideoFrame]:
+    """Generate the frames of a video file or a webcam, upright; every so many of them.
 
     Times are the time stamps of the file, in real time where it is slow motion (`VideoMetadata.slowed`), or
     follow from its frame rate where stamps are missing. Damaged parts of a file are skipped.
@@ -102,10 +120,10 @@ def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
         FileFormatError: no such file, or not readable.
         RtofError: the extra is not installed.
     """
-    return _webcam(source) if isinstance(source, int) else _file(source)
+    return _webcam(source, every) if isinstance(source, int) else _file(source, every)
 
 
-def _file(path: str | Path) -> Iterator[VideoFrame]:
+def _file(path: str | Path, every: int) -> Generator[VideoFrame]:
     with open_video(path) as (container, stream):
         stream.thread_type = "AUTO"
         slowed = slow_motion(container, stream)
@@ -114,7 +132,8 @@ def _file(path: str | Path) -> Iterator[VideoFrame]:
         for index, frame in enumerate(_decoded(path, container, stream)):
             first = (frame.time or 0.0) if first is None else first
             now = _next_time(path, now, None if frame.time is None else frame.time - first, rate_hz)
-            yield VideoFrame(now / slowed, upright_image(frame, stream), index, total)
+            if index % every == 0:
+                yield VideoFrame(now / slowed, upright_image(frame, stream), index, total)
         if index < 0:
             raise FileFormatError(path, "there is no readable frame in it")
 
@@ -144,7 +163,7 @@ def _decoded(path: str | Path, container: Any, stream: Any) -> Iterator[Any]:
         _log.warning("%s: %d damaged parts were skipped", path, damaged)
 
 
-def _webcam(number: int) -> Iterator[VideoFrame]:
+def _webcam(number: int, every: int) -> Generator[VideoFrame]:
     cv2 = optional("cv2", "video")
     capture = cv2.VideoCapture(number)
     try:
@@ -155,7 +174,8 @@ def _webcam(number: int) -> Iterator[VideoFrame]:
                 break
             now = time.monotonic()
             start = now if start is None else start
-            yield VideoFrame(now - start, image, index, 0)
+            if index % every == 0:
+                yield VideoFrame(now - start, image, index, 0)
             index += 1
         if index == 0:
             raise FileFormatError(_name(number), "not a camera that OpenCV can read")
