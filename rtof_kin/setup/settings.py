@@ -89,7 +89,7 @@ class ReconstructionTask:
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:
-            raise InvalidInputError(f"--threads {self.threads}: give 1 or more")
+            raise InvalidInputError(f"threads: {self.threads}; give 1 or more")
         if self.update_subject and self.subject is None:
             raise InvalidInputError("--update-subject needs the person's file; add --subject FILE")
         if self.subject is not None and self.calibration is not None:

@@ -72,7 +72,7 @@ def detect_video(
     if isinstance(source, int) and seconds is None:
         raise InvalidInputError(f"webcam {source}: give seconds, the duration of the recording")
     if every < 1:
-        raise InvalidInputError(f"every: {every}; give 1 or more, as in --every 2 for every second frame")
+        raise InvalidInputError(f"every: {every}; give 1 or more: 2 is every second frame")
     chosen = choose_detector(detector, provider) if isinstance(detector, str | Path | None) else detector
     times: list[float] = []
     people: list[list[Person]] = []
