@@ -96,20 +96,13 @@ JUMP_M: Final = 0.17
 class JointErrors:
     """Fitted numbers for J joints. Views are front, back and left; the right is their mirror image."""
 
-    place: Tensor
-    """(J, 3) offset in the frame of the joint's segment, m."""
-    view: Tensor
-    """(J, 9, 3) offset in the pelvis frame by `harmonics` of the direction to the camera there, m."""
-    usual: Tensor
-    """(J, 3) the usual `rig_places`."""
-    follows: Tensor
-    """(J,) share of the rig's difference from them that is an error."""
-    factor: Tensor
-    """(3, parts, 2 J, rank) factor of the covariance of x and y of each joint, m."""
-    rest: Tensor
-    """(3, parts, 2 J) independent standard deviation, m."""
-    hidden: Tensor
-    """(J,) factor on the error of a hidden joint."""
+    place: Tensor  #: (J, 3) offset in the frame of the joint's segment, m
+    view: Tensor  #: (J, 9, 3) offset in the pelvis frame by `harmonics` of the direction to the camera there, m
+    usual: Tensor  #: (J, 3) the usual `rig_places`
+    follows: Tensor  #: (J,) share of the rig's difference from them that is an error
+    factor: Tensor  #: (3, parts, 2 J, rank) factor of the covariance of x and y of each joint, m
+    rest: Tensor  #: (3, parts, 2 J) independent standard deviation, m
+    hidden: Tensor  #: (J,) factor on the error of a hidden joint
 
     @classmethod
     @cache

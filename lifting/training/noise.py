@@ -50,42 +50,25 @@ RATE_HZ: Final = 60.0
 class NoiseConfig:
     """Frequencies and sizes of errors; a realistic window scales bias and drift by its amplitude."""
 
-    clean: float = 0.20
-    """Share of windows without any error."""
-    white: float = 0.10
-    """Share of windows with white error only."""
-    independent: float = 0.25
-    """Share of windows in which joints err independently; the rest are realistic."""
-    white_px: tuple[float, float] = (0.5, 6.0)
-    """Range of the standard deviation per axis, px, of white windows."""
+    clean: float = 0.20  #: Share of windows without any error
+    white: float = 0.10  #: Share of windows with white error only
+    independent: float = 0.25  #: Share of windows in which joints err independently; the rest are realistic
+    white_px: tuple[float, float] = (0.5, 6.0)  #: Range of the standard deviation per axis, px, of white windows
     amplitude: tuple[float, float] = (0.3, 1.5)
     """Range of the factor on the errors of a real detector, and on bias and drift of independent windows."""
-    bias_px: float = 6.0
-    """Standard deviation of the constant error per joint and axis, px."""
-    drift_px: float = 5.0
-    """Standard deviation of the slow error per joint and axis, px."""
-    drift_memory: float = 0.5
-    """Correlation time of the drift, s."""
-    wrist_memory: float = 0.3
-    """Correlation time of the drift at the wrists, s."""
-    jitter_px: float = 0.3
-    """Standard deviation of the white error of independent windows, px."""
-    outlier_share: float = 0.04
-    """Share of (frame, joint) of independent windows that are outliers."""
-    outlier_px: float = 60.0
-    """Standard deviation per axis of an outlier, constant within its run, px."""
-    missing_share: float = 0.05
-    """Share of (frame, joint) missing in runs."""
-    run_s: tuple[float, float] = (0.2, 1.0)
-    """Range of the length of outlier and missing runs, s."""
-    gap_share: float = 0.10
-    """Share of realistic windows that lose the whole body for some frames."""
-    poor_share: float = 0.15
-    """Share of these windows whose detector lacks about a fifth of the joints throughout."""
-    sparse_share: float = 0.10
-    """Share of these windows whose detector has no point between hips and shoulders."""
-    truncated_share: float = 0.30
-    """Share of these windows in which what is outside the image is unseen."""
+    bias_px: float = 6.0  #: Standard deviation of the constant error per joint and axis, px
+    drift_px: float = 5.0  #: Standard deviation of the slow error per joint and axis, px
+    drift_memory: float = 0.5  #: Correlation time of the drift, s
+    wrist_memory: float = 0.3  #: Correlation time of the drift at the wrists, s
+    jitter_px: float = 0.3  #: Standard deviation of the white error of independent windows, px
+    outlier_share: float = 0.04  #: Share of (frame, joint) of independent windows that are outliers
+    outlier_px: float = 60.0  #: Standard deviation per axis of an outlier, constant within its run, px
+    missing_share: float = 0.05  #: Share of (frame, joint) missing in runs
+    run_s: tuple[float, float] = (0.2, 1.0)  #: Range of the length of outlier and missing runs, s
+    gap_share: float = 0.10  #: Share of realistic windows that lose the whole body for some frames
+    poor_share: float = 0.15  #: Share of these windows whose detector lacks about a fifth of the joints throughout
+    sparse_share: float = 0.10  #: Share of these windows whose detector has no point between hips and shoulders
+    truncated_share: float = 0.30  #: Share of these windows in which what is outside the image is unseen
 
 
 PERFECT: Final = NoiseConfig(clean=1.0, white=0.0, independent=0.0)

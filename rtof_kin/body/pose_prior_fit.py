@@ -33,8 +33,7 @@ LONGEST_S: Final = 120.0  #: Motion of one person that counts, s
 SHRINK_S: Final = 60.0  #: Duration of motion that a known prior counts for, s
 UNEVEN = np.radians([2.0, 3.0, 2.0])
 """Standard deviation of a joint of the spine about its share of the bend, about x, y, z, rad."""
-LOWERED = np.radians(4.0)
-"""Mean of following clavicles below their T-pose, with arms that mostly hang, rad."""
+LOWERED = np.radians(4.0)  #: Mean of following clavicles below their T-pose, with arms that mostly hang, rad
 FOLLOWING: Final = 0.5  #: Share of clavicles that follow the arms in a prior of several rigs
 CLAVICLE = np.radians([6.0, 5.0, 6.0])  #: Standard deviation of a clavicle about what the arm tells, rad
 PERSON_S: Final = 25.0  #: Least motion of a person that shows the person's mean, s

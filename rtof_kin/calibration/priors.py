@@ -10,8 +10,7 @@ import numpy as np
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.recording.recording import Recording
 
-EFFECTIVE_SECONDS: Final = 6.0
-"""[s] Effective length of a longer recording: autocorrelated errors do not average out."""
+EFFECTIVE_SECONDS: Final = 6.0  #: [s] Effective length of a longer recording: autocorrelated errors do not average out
 WEIGHT_POSES: Final = 0.1
 """[1] Weight of the pose prior and of the torso of the initial guess relative to a reconstruction: postures are
 autocorrelated."""

@@ -134,8 +134,7 @@ class Seam:
 
     def __init__(self) -> None:
         """Begin before the first part."""
-        self._q: Array | None = None
-        """Last known configuration."""
+        self._q: Array | None = None  #: Last known configuration
         self._root: tuple[Array, float] | None = None
         """Root [m] and its variance [m^2] in the first frame of the next part, by this one."""
 

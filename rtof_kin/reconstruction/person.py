@@ -59,8 +59,7 @@ _ALIKE: Final = 8.0  #: [nats] of a fragment that count as one
 _USUAL_LARGER, _SIGMA_LARGER = 0.007, 0.019  #: [1] Mean and standard deviation of `_Fit.larger` with the right bones
 _SIGMA_ANKLE, _TILT = 0.033, 0.0067  #: [m] The latter of `_Fit.ankle`, and per m of distance: 0.4 degrees of the camera
 _FLOOR_WRONG: Final = 0.6  #: [m] between ankle and floor from which the floor is more likely wrong than the body
-ANOTHER: Final = 6.5
-"""Sum of contradictions beyond which a file is of another person (benchmarks/results/subject.md)."""
+ANOTHER: Final = 6.5  #: Sum of contradictions beyond which a file is of another person (benchmarks/results/subject.md)
 _News = Mapping[str, tuple[Array | float, float]]  # Value and standard deviation by field
 
 

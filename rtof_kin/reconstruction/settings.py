@@ -24,14 +24,11 @@ class ReconstructionSettings:
     space: Space | None = None
     """Variables of the fragment solver: configurations of the skeleton, or joint positions (the paper's); default:
     joint, where a pose prior is shipped for the skeleton."""
-    frames: int = 50
-    """Frames of a fragment, N."""
+    frames: int = 50  #: Frames of a fragment, N
     guards: tuple[Guard, ...] = GUARDS
     """Which outliers of keypoints and sensors are rejected, see `Reconstruction.faults`; none: no rejection."""
-    confidence: bool = True
-    """Compute pose covariances (`Motion.confidence`) in modes rto and rtof in joint space."""
-    checks: bool = True
-    """Check what the recording declares (`Reconstruction.checks`)."""
+    confidence: bool = True  #: Compute pose covariances (`Motion.confidence`) in modes rto and rtof in joint space
+    checks: bool = True  #: Check what the recording declares (`Reconstruction.checks`)
     certificate: bool = False
     """Predict each sensor from all the rest and compare with what it measured (`Reconstruction.certificate`); of
     recordings over 15 s in the liveliest 15 s. Takes about as long as reconstructing 30 s."""

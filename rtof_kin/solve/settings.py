@@ -37,33 +37,23 @@ class JointSpaceSettings:
 
     sigma_reprojection: float | None = None
     """[px] per axis. None: estimated in every fragment from the residuals and their autocorrelation."""
-    sigma_reprojection_range: tuple[float, float] = (0.5, 25.0)
-    """[px] Bounds of the estimate."""
-    largest_correlation_factor: float = 2.2
-    """[1] Largest factor on sigma for errors that are correlated in time."""
+    sigma_reprojection_range: tuple[float, float] = (0.5, 25.0)  #: [px] Bounds of the estimate
+    largest_correlation_factor: float = 2.2  #: [1] Largest factor on sigma for errors that are correlated in time
     robust_reprojection: float = 2.0
     """[1] Residual where the loss of a landmark turns from square to linear, in units of sigma without the correlation
     factor."""
-    sigma_swing: float = math.radians(5.0)
-    """[rad] of a sensor's segment about axes across its bone."""
-    sigma_twist: float = math.radians(20.0)
-    """[rad] about the bone, where soft tissue rolls."""
-    robust_orientation: float = 3.0
-    """[sigma] where the loss of an orientation turns from square to linear."""
-    sigma_acceleration: float = 2.0
-    """[m/s^2] of a sensor."""
+    sigma_swing: float = math.radians(5.0)  #: [rad] of a sensor's segment about axes across its bone
+    sigma_twist: float = math.radians(20.0)  #: [rad] about the bone, where soft tissue rolls
+    robust_orientation: float = 3.0  #: [sigma] where the loss of an orientation turns from square to linear
+    sigma_acceleration: float = 2.0  #: [m/s^2] of a sensor
     acceleration_cutoff_hz: float | None = 12.0
     """[Hz] Zero-phase low-pass of the sensors' accelerations against soft tissue and noise. None: none."""
-    robust_acceleration: float = 2.0
-    """[sigma] where the loss of an acceleration turns from square to linear."""
-    jerk: float = 2.5
-    """[1] Factor on the standard deviation of the jerk of free motion (`PosePrior`)."""
+    robust_acceleration: float = 2.0  #: [sigma] where the loss of an acceleration turns from square to linear
+    jerk: float = 2.5  #: [1] Factor on the standard deviation of the jerk of free motion (`PosePrior`)
     jerk_without_sensors: float = 1.0
     """[1] The same for limbs without a sensor, and for all joints where there are no sensors."""
-    prior_inflation: float = 1.7
-    """[1] Factor on the standard deviations of the pose prior: frames are not independent."""
-    sigma_prior_least: float = math.radians(3.0)
-    """[rad] added in squares to each standard deviation of the prior."""
+    prior_inflation: float = 1.7  #: [1] Factor on the standard deviations of the pose prior: frames are not independent
+    sigma_prior_least: float = math.radians(3.0)  #: [rad] added in squares to each standard deviation of the prior
     sigma_torso: float | None = math.radians(18.0)
     """[rad] of pelvis, upper trunk, neck and clavicles about the initial guess, with a Cauchy loss; only without a
     sensor on them, and where the initial guess has no standard deviation of its own. None: no anchor."""
@@ -75,30 +65,19 @@ class JointSpaceSettings:
     sigma_root: float | None = 0.15
     """[m] of the root about the initial guess, with a Cauchy loss; not where landmarks are observed and a limb has a
     sensor on each of its two bones; doubled with landmarks and other sensors. None: none."""
-    floor_height: float | None = None
-    """[m] of a flat floor in world; None: no floor."""
-    ankle_height: float = 0.08
-    """[m] of the ankle over the floor it stands on."""
-    sigma_floor: float = 0.1
-    """[m] of a standing ankle in one frame; bodies and shoes differ by some cm."""
-    floor_cutoff: float = 0.1
-    """[m] Scale of the Cauchy loss of an ankle's height."""
-    sigma_contact: float = 0.02
-    """[m] of a foot's joint about its contact point, where contact points are given."""
-    hinges: bool = True
-    """Whether knees and elbows turn about one axis only."""
-    limits: bool = True
-    """Whether hinges keep the skeleton's anatomical limits (`joint_space.state.Limits`)."""
+    floor_height: float | None = None  #: [m] of a flat floor in world; None: no floor
+    ankle_height: float = 0.08  #: [m] of the ankle over the floor it stands on
+    sigma_floor: float = 0.1  #: [m] of a standing ankle in one frame; bodies and shoes differ by some cm
+    floor_cutoff: float = 0.1  #: [m] Scale of the Cauchy loss of an ankle's height
+    sigma_contact: float = 0.02  #: [m] of a foot's joint about its contact point, where contact points are given
+    hinges: bool = True  #: Whether knees and elbows turn about one axis only
+    limits: bool = True  #: Whether hinges keep the skeleton's anatomical limits (`joint_space.state.Limits`)
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
-    smooth_start_hz: float = 6.0
-    """[Hz] Low-pass cutoff of the initial guess."""
-    annealing: int = 6
-    """How often the reprojection sigma is estimated again before it is fixed."""
-    max_iterations: int = 60
-    """Iterations after the annealing."""
-    tolerance: float = 1e-4
-    """[1] Relative decrease of the energy below which a fragment is solved."""
+    smooth_start_hz: float = 6.0  #: [Hz] Low-pass cutoff of the initial guess
+    annealing: int = 6  #: How often the reprojection sigma is estimated again before it is fixed
+    max_iterations: int = 60  #: Iterations after the annealing
+    tolerance: float = 1e-4  #: [1] Relative decrease of the energy below which a fragment is solved
     compile: Compile = "auto"
     """'auto': compile the energy where a C compiler exists and cache it. 'never': interpret it."""
 
@@ -140,39 +119,26 @@ class CartesianSettings:
     k_V: float = 0.67
     """Weight of the visual term. The default of each k is the term's number of residuals over the prior's, so that E is
     the negative log posterior; `paper` has the paper's weights."""
-    k_I: float = 1.0
-    """Weight of the inertial terms together."""
-    k_A: float = 0.37
-    """Weight of acceleration within them."""
-    k_B: float = 0.38
-    """Weight of bone vectors within them."""
-    k_S: float = 0.94
-    """Weight of smoothness within them."""
+    k_I: float = 1.0  #: Weight of the inertial terms together
+    k_A: float = 0.37  #: Weight of acceleration within them
+    k_B: float = 0.38  #: Weight of bone vectors within them
+    k_S: float = 0.94  #: Weight of smoothness within them
     sigma_reprojection: float | None = None
     """[px] None: a fragment is solved with `sigma_reprojection_first`, then again with twice the size of its residuals
     (a detector's errors are autocorrelated)."""
-    sigma_reprojection_first: float = 10.0
-    """[px] of the first of the two."""
-    sigma_reprojection_range: tuple[float, float] = (2.0, 20.0)
-    """[px] Bounds of the estimate."""
+    sigma_reprojection_first: float = 10.0  #: [px] of the first of the two
+    sigma_reprojection_range: tuple[float, float] = (2.0, 20.0)  #: [px] Bounds of the estimate
     huber_reprojection: float | None = 2.0
     """[sigma] where the visual loss turns from square to linear; None: squares, as in the paper."""
-    sigma_acceleration: float = 1.0
-    """[m/s^2]"""
-    sigma_bone: float = 0.04
-    """[m] of a bone's end, from an orientation error of 5-10 degrees."""
-    sigma_jerk: float = 120.0
-    """[m/s^3]"""
-    sigma_length: float = 0.005
-    """[m] of the distance of two points of a rigid segment; not in the energy as printed."""
-    sigma_prior: float = 0.3
-    """[m] of the root, or of every position."""
-    sigma_prior_bone: float = 0.04
-    """[m] of a bone vector."""
+    sigma_acceleration: float = 1.0  #: [m/s^2]
+    sigma_bone: float = 0.04  #: [m] of a bone's end, from an orientation error of 5-10 degrees
+    sigma_jerk: float = 120.0  #: [m/s^3]
+    sigma_length: float = 0.005  #: [m] of the distance of two points of a rigid segment; not in the energy as printed
+    sigma_prior: float = 0.3  #: [m] of the root, or of every position
+    sigma_prior_bone: float = 0.04  #: [m] of a bone vector
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
-    tolerance: float = 1e-6
-    """IPOPT's tolerance on the scaled gradient."""
+    tolerance: float = 1e-6  #: IPOPT's tolerance on the scaled gradient
     max_iterations: int = 60
 
     def __post_init__(self) -> None:

@@ -283,8 +283,7 @@ class _Follower:
 
     def __init__(self, camera: Camera):
         self.camera = camera
-        self.links: list[_Link | None] = []
-        """Of each frame; None where it could not be followed."""
+        self.links: list[_Link | None] = []  #: Of each frame; None where it could not be followed
         self._cv2 = optional("cv2", "video")
         self._size = camera.width_px, camera.height_px
         self._tolerance = _TOLERANCE / float(camera.K[0, 0])

@@ -284,10 +284,8 @@ class PersonFollower:
         self._image_px = image_px
         self._trails: list[_Trail] = []
         self._chosen: _Trail | None = None
-        self.chosen = 0
-        """How often a person was chosen."""
-        self.ambiguous = 0
-        """Number of frames in which another person fitted nearly as well."""
+        self.chosen = 0  #: How often a person was chosen
+        self.ambiguous = 0  #: Number of frames in which another person fitted nearly as well
 
     def follow(self, people: Sequence[Person], time: float) -> int | None:
         """Return the index of the person among those of the next frame, at a later time, s; None where not seen."""

@@ -300,8 +300,7 @@ class WaitingArray:
 
     def __init__(self, row: tuple[int, ...]) -> None:
         """Take the shape of a row."""
-        self.shape: tuple[int, ...] = (0, *row)
-        """Shape of the array."""
+        self.shape: tuple[int, ...] = (0, *row)  #: Shape of the array
         self._file = tempfile.SpooledTemporaryFile(_WAITING_IN_MEMORY)  # noqa: SIM115
 
     def append(self, rows: Array) -> None:

@@ -32,8 +32,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError, did_you_mean
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
 
-_LONGEST: Final = 40
-"""Most characters of a wrong value in a message."""
+_LONGEST: Final = 40  #: Most characters of a wrong value in a message
 _NUMBER: Final = "is not a finite number"
 _PROBLEMS: Final = {
     "string_type": "is not text; put it in quotes",
@@ -150,14 +149,10 @@ Names = Annotated[tuple[str, ...], Strict(False), explained_by('is not a list of
 class Rule(NamedTuple):
     """What a table must or must not have beside other fields."""
 
-    problem: str = ""
-    """Rest of the error's sentence about the first field that is excluded or missing."""
-    given: tuple[str, ...] = ()
-    """It holds where one of these is given,"""
-    absent: tuple[str, ...] = ()
-    """none of these is given,"""
-    ending: str = ""
-    """and the field ``file`` ends so."""
+    problem: str = ""  #: Rest of the error's sentence about the first field that is excluded or missing
+    given: tuple[str, ...] = ()  #: It holds where one of these is given,
+    absent: tuple[str, ...] = ()  #: none of these is given,
+    ending: str = ""  #: and the field ``file`` ends so
     excluded: tuple[str, ...] = ()
     required: tuple[str, ...] = ()
 

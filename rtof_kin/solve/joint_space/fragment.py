@@ -150,8 +150,7 @@ class FragmentEnergy:
         self._inverse_known = False
         self._prior: MarginalPrior | None = None
         self._prior_at: tuple[Array, float, Array] | None = None
-        self._filled = 0
-        """Columns to which `add_to_first` has added."""
+        self._filled = 0  #: Columns to which `add_to_first` has added
 
     def _bind_functions(self) -> None:
         """Bind arrays to functions; frames are numbered as in `stencils`."""
