@@ -21,7 +21,7 @@ from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.windows import sizes
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
+from rtof_kin.core.errors import FileFormatError, WritingError, reading
 from rtof_kin.core.files.arrays import check_sizes
 from rtof_kin.core.files.folder import new_file
 
@@ -96,15 +96,11 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
             raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
     if _digest(text, weights, prior) != content.get("sha256"):
         raise FileFormatError(path, "the checksum does not match: the file is damaged or was altered; copy it again")
-    try:
+    with reading(path, "the description of this lifter is wrong: {}", ValueError, TypeError, KeyError, AttributeError):
         description = _description(text, {name: value.double().numpy() for name, value in prior.items()})
-    except (ValueError, TypeError, KeyError, AttributeError, InvalidInputError) as error:
-        raise FileFormatError(path, f"the description of this lifter is wrong: {error}") from error
     network = TemporalNetwork(description.network)
-    try:
+    with reading(path, "the weights do not fit the network described: {}", RuntimeError):
         network.load_state_dict(weights)
-    except RuntimeError as error:
-        raise FileFormatError(path, f"the weights do not fit the network described: {error}") from error
     if not all(bool(v.isfinite().all()) for v in weights.values()):
         raise FileFormatError(path, "the weights are not finite: its training failed; train again")
     return network.eval(), description

@@ -22,7 +22,7 @@ from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError, reading
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
@@ -294,13 +294,9 @@ def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
         split_of = read_split(split or find_split(path))
         return join_clips((clip, split_of.get(clip.subject, "train")) for clip in mocap.read_corpus(path))
     data = read_npz_as_saved(path, _LARGEST_BYTES, kinds="fiubU")
-    try:
-        with np.errstate(invalid="ignore"):  # casting of NaN
-            return _from_arrays(data)
-    except (ValueError, LookupError, TypeError, OverflowError) as error:
-        raise FileFormatError(
-            path, f"not a corpus of motion ({error}); make one with Corpus.save, or name a folder"
-        ) from error
+    problem = "not a corpus of motion ({}); make one with Corpus.save, or name a folder"
+    with reading(path, problem, ValueError, LookupError, TypeError, OverflowError), np.errstate(invalid="ignore"):
+        return _from_arrays(data)
 
 
 def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:

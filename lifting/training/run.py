@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from math import cos, isfinite, log, pi
 from pathlib import Path
@@ -30,7 +29,7 @@ from lifting.training.settings import TrainConfig, prior_of_corpus
 from lifting.windows import EncodedWindows, decode, encode, sizes
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.errors import FileFormatError, RtofError, SolverError
+from rtof_kin.core.errors import FileFormatError, SolverError, reading
 from rtof_kin.core.resources import lifter_path, model_path
 
 USUAL_RADIUS: Final = 0.4
@@ -277,7 +276,7 @@ class Run:
         """
         if not path.exists():
             return
-        with _readable(path):
+        with reading(path, "not a readable training state ({}); delete it to start afresh", Exception):
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != self.config.fixed():
                 raise FileFormatError(path, "belongs to a training with other settings; delete it or do not resume")
@@ -292,18 +291,6 @@ class Run:
             self.validated, self.history = state["validated"], state["history"]
             self.started_from = state["started_from"]
             self.losses = [torch.tensor(x, device=self.device) for x in state["losses"]]
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turn errors of reading a state into a `FileFormatError`; torch raises many types."""
-    try:
-        yield
-    except RtofError:
-        raise
-    except Exception as error:
-        message = f"not a readable training state ({error}); delete it to start afresh"
-        raise FileFormatError(path, message) from error
 
 
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:

@@ -43,7 +43,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel, known_body
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError, reading
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors, short_floats
 from rtof_kin.data.confidence import Confidence, valid_covariances
 from rtof_kin.data.corrections import Correction
@@ -235,16 +235,13 @@ class MotionReader(MotionSource):
         self.path = motion_path(path)
         with ExitStack() as failed:
             self._file = failed.enter_context(ArrayFile(self.path))
-            try:
+            with (
+                reading(self.path, "{}", RtofError, ValueError, TypeError),
+                reading(self.path, "the array {} is missing; reconstruct again", KeyError),
+            ):
                 skeleton = self._read_header()
                 times = checked_times("motion times", self._file.whole("times"))
                 self._check_arrays(len(times))
-            except FileFormatError:
-                raise
-            except KeyError as error:
-                raise FileFormatError(self.path, f"the array {error} is missing; reconstruct again") from error
-            except (RtofError, ValueError, TypeError) as error:
-                raise FileFormatError(self.path, str(error)) from error
             failed.pop_all()
         super().__init__(skeleton, times, self._frames, corrections=self._corrections)
 
@@ -325,17 +322,13 @@ class MotionReader(MotionSource):
 
     def _frames(self, start: int, stop: int, confidence: bool) -> Motion:
         rows = self._file.rows
-        try:
+        with reading(self.path, f"frames {start} to {stop}: {{}}", RtofError, ValueError, TypeError):
             q = readonly("q", rows("q", start, stop), (stop - start, self.skeleton.nq))
             masks: dict[str, Any] = {name: rows(name, start, stop) for name in MASKS if name in self._file}
             p, R = self._poses(q, start, stop)
             poses = PoseSequence(self.times[start:stop], p, R, self.skeleton.names, **masks)
             known = self._confidence(start, stop) if self._pairs and confidence else None
             return Motion(self.skeleton, q, poses, self.skeleton.check(q), known, self.corrections)
-        except (RtofError, ValueError, TypeError) as error:
-            if isinstance(error, FileFormatError):
-                raise
-            raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
 
     def root(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,), fast.

@@ -23,7 +23,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, freeze, indices_of, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
@@ -150,10 +150,8 @@ class PosePrior:
         """
         path = Path(path or model_path("pose_prior.npz"))
         arrays = read_npz(path)
-        try:
+        with reading(path, f"no pose prior of {len(joints)} joints ({{}})", KeyError, InvalidInputError):
             return cls.from_arrays(joints, arrays)
-        except (KeyError, InvalidInputError) as error:
-            raise FileFormatError(path, f"no pose prior of {len(joints)} joints ({error})") from error
 
     @classmethod
     def from_arrays(cls, joints: Sequence[str], arrays: Mapping[str, Array]) -> PosePrior:

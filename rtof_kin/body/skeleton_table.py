@@ -19,7 +19,7 @@ import numpy as np
 
 from rtof_kin.body.pose_prior import NeutralPosture, PosePrior, shipped_prior
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.text import load_toml
 
 
@@ -189,7 +189,10 @@ def read_skeleton_table(path: str | Path) -> SkeletonTable:
     """
     path = Path(path)
     data = load_toml(path)
-    try:
+    with (
+        reading(path, "a field is not of the right kind: {}", TypeError, ValueError),
+        reading(path, "the field {} is missing", KeyError),
+    ):
         joints = tuple(_joint(path, entry) for entry in data["joint"])
         table = SkeletonTable(
             name=data["name"],
@@ -200,12 +203,6 @@ def read_skeleton_table(path: str | Path) -> SkeletonTable:
             sensors=_landmarks(data.get("sensor", []), "lever_arm_mm"),
             n_pose={k: float(np.radians(v)) for k, v in data.get("n_pose_deg", {}).items()},
         )
-    except KeyError as error:
-        raise FileFormatError(path, f"the field {error} is missing") from error
-    except FileFormatError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(path, f"a field is not of the right kind: {error}") from error
     for i in range(len(table.joints)):
         _check_joint(path, table, i)
     _check_table(path, table)

@@ -16,7 +16,7 @@ import numpy as np
 from rtof_kin.body.skeleton_table import Joint, SkeletonTable, inertia, mass_fraction, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.packages import optional
 
@@ -75,10 +75,8 @@ def read_urdf(path: str | Path, table_path: str | Path) -> tuple[SkeletonTable, 
     """
     table = read_skeleton_table(table_path)
     text = read_text(path, "a URDF", _LARGEST_URDF)
-    try:
+    with reading(path, "not a readable URDF: {}", ValueError, RuntimeError):
         loaded = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
-    except (ValueError, RuntimeError) as error:
-        raise FileFormatError(path, f"not a readable URDF: {error}") from error
     offsets = np.zeros_like(table.offsets)
     for i, joint in enumerate(table.joints[1:], start=1):
         if not loaded.existJointName(joint.dofs[0].urdf):

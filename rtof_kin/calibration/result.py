@@ -18,7 +18,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.input_table import InputTable, Integer, Number, Row
 from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.imu import ImuSequence
@@ -345,15 +345,10 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
             "reads; use the version that wrote it, or a newer one",
         )
     file = CalibrationTable.of(data, Path(path))
-    try:
-        return SelfCalibration(
-            tuple(
-                Quantity(kind, item, one.value, one.sigma, one.sigma_prior, one.known, one.doubt)
-                for kind, items in file.quantities.items()
-                for item, one in items.items()
-            ),
-            file.middle_s,
-            bool(file.converged),
+    with reading(path, "{}", InvalidInputError, UnknownNameError):
+        quantities = tuple(
+            Quantity(kind, item, one.value, one.sigma, one.sigma_prior, one.known, one.doubt)
+            for kind, items in file.quantities.items()
+            for item, one in items.items()
         )
-    except (InvalidInputError, UnknownNameError) as error:
-        raise FileFormatError(path, str(error)) from error
+        return SelfCalibration(quantities, file.middle_s, bool(file.converged))

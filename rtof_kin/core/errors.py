@@ -7,7 +7,8 @@ remedy. The command line prints it as one line and exits with code 2.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -127,6 +128,20 @@ class FileFormatError(RtofError, ValueError):
         self.path, self.line = Path(path), line
         where = f"{path}, line {line}" if line is not None else str(path)
         super().__init__(f"{where}: {problem}")
+
+
+@contextmanager
+def reading(path: str | Path, problem: str = "{}", *kinds: type[Exception]) -> Iterator[None]:
+    """Turn errors of some kinds, by default `InvalidInputError`, into a `FileFormatError` about a file, whose problem
+    has the error's message in place of ``{}``; errors about a file stay as they are.
+    """
+    caught = kinds or (InvalidInputError,)
+    try:
+        yield
+    except FileFormatError:
+        raise
+    except caught as error:
+        raise FileFormatError(path, problem.replace("{}", str(error))) from error
 
 
 class OutputExistsError(RtofError, FileExistsError):

@@ -13,7 +13,7 @@ import numpy as np
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
 from rtof_kin.markers.fit import MISFIT, MarkerBody, fit_body, marker_residuals, track
@@ -40,11 +40,9 @@ def read_trial(path: str | Path, up: str | None = None) -> MarkerSequence:
     if suffix != ".npz":
         raise FileFormatError(path, f"no marker trial; known: {', '.join(TRIALS)}")
     arrays = read_npz_as_saved(path, 2**31, kinds="fiubU")
-    try:
+    with reading(path, "no marker trial: needs times, names and p_world ({})", KeyError, ValueError):
         names = tuple(map(str, arrays["names"]))
         return MarkerSequence(arrays["times"].astype(float), names, arrays["p_world"].astype(float))
-    except (KeyError, ValueError, InvalidInputError) as error:
-        raise FileFormatError(path, f"no marker trial: needs times, names and p_world ({error})") from error
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import CHOICES, SensorLog
@@ -119,7 +119,7 @@ def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) 
         return None
     tables = sensors.values()
     stated = [own.mounting_sd_deg for own in tables]
-    try:
+    with reading(next(iter(tables)).path, "{}", CalibrationError, InvalidInputError):
         return ImuCalibration(
             sensors=tuple(sensors),
             joints=tuple(joints),
@@ -128,8 +128,6 @@ def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) 
             p_bone_sensor=np.array(levers),
             mounting_sd_deg=None if set(stated) == {None} else np.array(stated, dtype=np.float64),
         )
-    except (CalibrationError, InvalidInputError) as error:
-        raise FileFormatError(next(iter(tables)).path, str(error)) from error
 
 
 def _rotation(table: SensorTable, frames: str) -> Array:
@@ -236,11 +234,8 @@ def _is_own_csv(path: Path) -> bool:
     """Return whether a .csv has the columns of a recording's own, or none of a sensor file's."""
     if path.suffix.lower() != ".csv":
         return False
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(2**14).decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
+    with reading(path, "cannot be read: {}", OSError), path.open("rb") as stream:
+        head = stream.read(2**14).decode("utf-8-sig", errors="replace")
     names = [name for name in cells(head.split("\n", 1)[0], ",") if name != "time"]
     own = all(name.endswith(_IMU_COLUMNS) for name in names)
     return own or format_of(path) is None

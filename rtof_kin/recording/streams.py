@@ -14,7 +14,7 @@ import numpy as np
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError, reading
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
@@ -185,11 +185,10 @@ class Source:
 def naming(path: Path) -> Iterator[None]:
     """Put the name of a file in front of errors that data types raise inside."""
     try:
-        yield
+        with reading(path, "{}", InvalidInputError, CalibrationError):
+            yield
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from error
-    except (InvalidInputError, CalibrationError) as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def data_path(table: InputTable, or_folder: bool = False, field: str = "file", name: str | None = None) -> Path:

@@ -21,7 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.poses import PoseSequence
@@ -300,12 +300,10 @@ def _index_rows(path: Path) -> list[dict[str, str]]:
     """Read the corrected rows of motions (not of skeletons)."""
     columns = ("file", "subject", "tc_like", "fps", "quality")
     reader = csv.DictReader(io.StringIO(read_text(path, "a CSV file"), newline=""), restval="")
-    try:
+    with reading(path, "not a readable CSV file: {}", csv.Error):
         if lacking := set(columns) - set(reader.fieldnames or ()):
             raise FileFormatError(path, f"no column {', '.join(sorted(lacking))}", 1)
         rows = [{column: row[column] for column in columns} for row in reader if row["tc_like"] != "skeleton"]
-    except csv.Error as error:
-        raise FileFormatError(path, f"not a readable CSV file: {error}") from error
     for row in rows:
         row |= _CORRECTIONS.get(row["file"], {})
         if path_inside(path.parent, row["file"]) is None:

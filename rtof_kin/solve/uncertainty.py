@@ -49,7 +49,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import WORLD, Confidence
@@ -218,15 +218,13 @@ class CovarianceInflation:
             FileFormatError: it is not one.
         """
         data = load_toml(Path(path))
-        try:
+        with reading(path, "no table of widenings: {}", KeyError, TypeError, AttributeError, ValueError):
             widenings = {
                 seen: {kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()} for kind in kinds}
                 for seen, kinds in SEEN.items()
             }
             curves = CurveFactors.from_plain(data[CURVES]) if CURVES in data else None
             return cls(widenings, data.get(SHARES, {}), data.get(DEPTHS, {}), curves)
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise FileFormatError(path, f"no table of widenings: {error}") from error
 
     def apply(
         self,

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, reading
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.text import numbers_of, read_text
 from rtof_kin.formats.channels import POINT_ENDINGS, PointChannels, point_part
@@ -345,16 +345,12 @@ def read_sleap_h5(path: Path) -> Detections:
 
     from rtof_kin.core.files.hdf5 import held
 
-    try:
-        with h5py.File(path, "r") as file:
-            within = partial(held, path, file)
-            tracks = np.asarray(within("tracks"), dtype=np.float64)  # (P, 2, K, T)
-            names = tuple(one.decode() if isinstance(one, bytes) else str(one) for one in within("node_names")[()])
-            scores = np.asarray(within("point_scores"), dtype=np.float64) if "point_scores" in file else None
-    except FileFormatError:
-        raise
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise FileFormatError(path, f"not SLEAP's analysis, with tracks and node_names ({error})") from error
+    problem = "not SLEAP's analysis, with tracks and node_names ({})"
+    with reading(path, problem, OSError, KeyError, ValueError, TypeError), h5py.File(path, "r") as file:
+        within = partial(held, path, file)
+        tracks = np.asarray(within("tracks"), dtype=np.float64)  # (P, 2, K, T)
+        names = tuple(one.decode() if isinstance(one, bytes) else str(one) for one in within("node_names")[()])
+        scores = np.asarray(within("point_scores"), dtype=np.float64) if "point_scores" in file else None
     if tracks.ndim != 4 or tracks.shape[1:3] != (2, len(names)):
         raise FileFormatError(path, f"tracks: expected shape (P, 2, {len(names)}, T), got {tracks.shape}")
     if scores is None:

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
 from rtof_kin.formats.xdf import read_xdf_points
@@ -79,10 +79,8 @@ def read_detector_file(
         FileFormatError: unknown format, damaged, or without people.
     """
     path = Path(path)
-    try:
+    with reading(path):
         return of_body(_read(path), layout).in_pixels(width_px, height_px)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _read(path: Path) -> Detections:
@@ -249,10 +247,7 @@ def _detections(
     if frames and (min(frames) < 0 or max(frames) > _MOST_FRAMES_EACH * len(frames) + 1000):
         numbers = f"numbered from {min(frames)} to {max(frames)}; number them as in the video, from 0"
         raise FileFormatError(path, f"its {len(frames)} frames are {numbers}")
-    try:
-        return Detections.of_frames(frames, times, names)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
+    return Detections.of_frames(frames, times, names)
 
 
 def _people(path: Path, frame: Any, where: str) -> list[Person]:
@@ -309,10 +304,8 @@ def _person(path: Path, entry: Any, where: str) -> Person:
     values = next((entry[key] for key in _POINTS if key in entry), None)
     if not isinstance(values, list) or not values:
         raise FileFormatError(path, f"{where}: has no field {', '.join(_POINTS)} with a list of points")
-    try:
+    with reading(path, f"{where}: its points are not numbers ({{}})", TypeError, ValueError, KeyError, OverflowError):
         points = _points(values, entry)
-    except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise FileFormatError(path, f"{where}: its points are not numbers ({error})") from error
     if points is None:
         raise FileFormatError(path, f"{where}: {len(values)} numbers are not x, y, confidence for each point")
     return Person(points, _identity(entry))

@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
@@ -82,11 +82,9 @@ def read_detector_keypoints(
     """
     path = Path(path)
     found = read_detector_file(path, camera.width_px, camera.height_px, layout)
-    try:
+    with reading(path):
         times = _times(found, rate_hz) + start
         return keypoints_from_detections(found, times, camera, layout, person, frame)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def keypoints_from_detections(

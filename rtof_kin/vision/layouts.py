@@ -20,7 +20,7 @@ from pydantic import Strict
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Names, OneOf, Positive, Vector3
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.packages import Extensions
@@ -342,10 +342,8 @@ def layout_named(name: str | Path) -> str:
     if not is_layout_file(name):
         return detector_table().layout(str(name)).name
     layout = read_layout(name)
-    try:
+    with reading(name, "{}", InvalidInputError, UnknownNameError):
         add_layout(layout)
-    except (InvalidInputError, UnknownNameError) as error:
-        raise FileFormatError(name, str(error)) from error
     return layout.name
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import read_csv, read_npz_as_saved
 from rtof_kin.core.files.text import load_json, load_toml
 from rtof_kin.core.resources import model_path
@@ -183,23 +183,17 @@ def read_lift_points(path: str | Path, wanted: str = "", frame_times: Array | No
 
 def _read_json(path: Path) -> MarkerSequence:
     found = load_json(path)
-    try:
+    with reading(path, "no 3D points over time: needs times, names and points ({})", KeyError, TypeError, ValueError):
         values = [[[np.nan] * 3 if p is None else p for p in frame] for frame in found["points"]]
         return MarkerSequence(np.array(found["times"], float), tuple(found["names"]), np.array(values, float))
-    except (KeyError, TypeError, ValueError, InvalidInputError) as error:
-        raise FileFormatError(path, f"no 3D points over time: needs times, names and points ({error})") from error
 
 
 def _read_csv(path: Path) -> MarkerSequence:
     columns = read_csv(path)
-    try:
+    with reading(path, "no 3D points over time: needs time, and x, y and z of each point ({})", KeyError, ValueError):
         names = [column[:-2] for column in columns if column.endswith("_x")]
         points = [np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=-1) for name in names]
         return MarkerSequence(columns["time"], tuple(names), np.stack(points, axis=1))
-    except (KeyError, ValueError, InvalidInputError) as error:
-        raise FileFormatError(
-            path, f"no 3D points over time: needs time, and x, y and z of each point ({error})"
-        ) from error
 
 
 def _read_npz(path: Path, wanted: str, frame_times: Array | None) -> MarkerSequence:
@@ -225,10 +219,8 @@ def _read_npz(path: Path, wanted: str, frame_times: Array | None) -> MarkerSeque
         form = _counted(path, p.shape[1], wanted)
         inside = [k for k, at in enumerate(form.at) if at < p.shape[1]]
         labels, p = tuple(form.layout.names[k] for k in inside), p[:, [form.at[k] for k in inside]]
-    try:
+    with reading(path):
         return MarkerSequence(np.asarray(times, float), labels, p)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _counted(path: Path, count: int, wanted: str) -> Convention:

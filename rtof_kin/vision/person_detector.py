@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.choices import Provider
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError, reading
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
 from rtof_kin.vision.model_download import ModelSet, cached_models, model_sets
@@ -96,10 +96,8 @@ def _loaded(path: Path, provider: Provider) -> _Model:
     with _native_messages_hidden(), contextlib.redirect_stdout(io.StringIO()):
         if provider == "cuda" and hasattr(runtime, "preload_dlls"):
             runtime.preload_dlls()  # of NVIDIA's Python packages
-        try:
+        with reading(path, "not a readable ONNX model: {}", Exception):  # onnxruntime's errors have no common base
             session = runtime.InferenceSession(str(path), providers=list(dict.fromkeys([name, _PROVIDERS["cpu"][0]])))
-        except Exception as error:  # onnxruntime's errors have no common base
-            raise FileFormatError(path, f"not a readable ONNX model: {error}") from error
     if name not in session.get_providers():
         raise MissingPackageError(f"provider {provider}: does not start, its driver or libraries are missing; {remedy}")
     inputs = [tuple(value.shape) for value in session.get_inputs()]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.choices import Provider
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Detections, Person
@@ -93,10 +93,8 @@ def detect_video(
         except KeyboardInterrupt:
             if not isinstance(source, int) or not times:
                 raise
-    try:
+    with reading(_name(source)):
         found = Detections.of_frames(dict(enumerate(people)), np.array(times))
-    except InvalidInputError as error:
-        raise FileFormatError(_name(source), f"{error}") from error
     rate_hz = 1 / np.mean(spent[1:] or spent)  # the first image also prepares the model
     return replace(found, detector=f"{chosen.name}, {rate_hz:.3g} frames per second")
 

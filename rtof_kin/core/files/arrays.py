@@ -25,13 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, WritingError
+from rtof_kin.core.errors import FileFormatError, WritingError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
 
 _UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
 """Archives above this size with a higher compression ratio are refused."""
 _MOST_MEMBERS: Final = 10_000
+_DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError)
+"""What reading a damaged archive raises."""
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
@@ -134,24 +136,21 @@ def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
 @contextmanager
 def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive; all errors of reading it become `FileFormatError`."""
-    try:
+    problem = "damaged, or no NPZ archive ({}); write it again with numpy.savez"
+    with reading(
+        path, problem, zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
+    ):
         check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
             yield archive
-    except FileFormatError:
-        raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError) as error:
-        raise FileFormatError(path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez") from error
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
     """Return the array of an .npy file of at most `limit` bytes as float64; errors as `read_npz`."""
-    try:
+    with reading(path, "cannot be read: {}", OSError, MemoryError):
         check_file(path, "an array", limit)
         with path.open("rb") as stream:
             saved = _read_npy(path, "array", stream, path.stat().st_size, "fiub")
-    except (OSError, MemoryError) as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
     return _as_floats(path, "array", saved)
 
 
@@ -187,10 +186,8 @@ def _checked_header(
     path: Path, name: str, stream: IO[bytes], size: int, kinds: str
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Read the header of an array whose data fit into so many bytes."""
-    try:
+    with reading(path, f"{name}: not a NumPy array ({{}})", ValueError):
         shape, fortran, dtype = read_npy_header(stream)
-    except ValueError as error:
-        raise FileFormatError(path, f"{name}: not a NumPy array ({error})") from error
     if dtype.hasobject or dtype.kind not in kinds:
         raise FileFormatError(
             path,
@@ -246,7 +243,11 @@ def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
     cell or ``nan`` is NaN. `FileFormatError`: no such file, no header, a line of another length, a cell that is not a
     number.
     """
-    try:
+    with (
+        reading(path, "cannot be read: {}", OSError),
+        reading(path, "not a readable CSV file: {}", csv.Error),
+        reading(path, f"not a text file in UTF-8, so not {_CSV}", UnicodeDecodeError),
+    ):
         check_file(path, _CSV, _LARGEST_CSV)
         with path.open(encoding="utf-8-sig", newline="") as stream:
             lines = csv.reader(stream)
@@ -261,12 +262,6 @@ def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
                     if not measurable(column):
                         raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
                 yield columns
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, f"not a text file in UTF-8, so not {_CSV}") from error
-    except csv.Error as error:
-        raise FileFormatError(path, f"not a readable CSV file: {error}") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
 
 
 def _header(path: Path, lines: Iterator[list[str]]) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.folder import new_file
 
 LARGEST_TEXT = 2**30  #: Largest text file, bytes
@@ -41,13 +41,12 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
     or empty.
     """
     path = Path(path)
-    try:
+    with (
+        reading(path, "cannot be read: {}", OSError),
+        reading(path, f"not a text file in UTF-8, so not {what}", UnicodeDecodeError),
+    ):
         check_file(path, what, limit)
         text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, f"not a text file in UTF-8, so not {what}") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
     if not text.strip():
         raise FileFormatError(path, f"empty; expected {what}", 1)
     return text
