@@ -65,12 +65,7 @@ def save_checkpoint(
 
 
 def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
-    """Write by `torch.save`, atomically.
-
-    Raises:
-        OutputExistsError: it exists and must not be overwritten.
-        WritingError: it cannot be written.
-    """
+    """Write by `torch.save`, atomically; errors as `core.files.folder.new_file`."""
     with new_file(path, overwrite) as whole:
         try:
             torch.save(content, whole)

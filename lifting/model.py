@@ -129,7 +129,6 @@ class FoldedNetwork:
     """
 
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
-        """Fuse the weights."""
         assert network.constant is not None
         config, expand, shrink = network.config, network.expand, network.shrink
         self._width, *widths = config.filter_widths

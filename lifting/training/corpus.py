@@ -57,10 +57,8 @@ def read_split(path: str | Path) -> dict[str, str]:
 
 
 def find_split(folder: Path) -> Path:
-    """Return the split file of a folder of motion: its ``split.toml``, else the one of the benchmarks.
-
-    Raises:
-        FileFormatError: there is neither.
+    """Return the split file of a folder of motion: its ``split.toml``, else the one of the benchmarks, or raise
+    `FileFormatError`.
     """
     for path in (folder / "split.toml", BENCHMARK_SPLIT):
         if path.is_file():

@@ -58,7 +58,6 @@ class Prefetch(Generic[T]):
     """
 
     def __init__(self, make: Callable[[int], T]):
-        """Prepare without computing."""
         self._make = make
         self._pool = ThreadPoolExecutor(1, "windows")
         self._next: tuple[int, Future[T]] | None = None
@@ -167,11 +166,7 @@ class Run:
         torch._foreach_lerp_([mean[k] for k in floats], [new[k] for k in floats], 1 - keep)
 
     def report(self) -> dict[str, Any] | None:
-        """Return the report after this step, None if it has none.
-
-        Raises:
-            SolverError: the training diverged.
-        """
+        """Return the report after this step, None if it has none; `SolverError` where the training diverged."""
         config = self.config
         rare = self.seconds >= self.affordable  # validation is no more than 5 % of the time
         due = (int(self.share_done * config.validations) > self.validated and rare) or self.share_done >= 1

@@ -133,18 +133,6 @@ def matrices(entries: Array | NDArray[np.float32]) -> Array:
     return out
 
 
-def checked_nodes(field: str, value: NDArray[np.generic], frames: int) -> Index:
-    """Return the frames of nodes of a file.
-
-    Raises:
-        InvalidInputError: they do not increase from the first to the last frame.
-    """
-    found: Index = readonly(field, value, ("K",), np.intp)
-    if not len(found) or found[0] != 0 or found[-1] != frames - 1 or np.any(np.diff(found) <= 0):
-        raise InvalidInputError(f"{field}: do not increase from 0 to {frames - 1}, the last frame")
-    return found
-
-
 MOTION: Final = "motion.h5"
 EARLIER: Final = "motion.npz"  #: File of versions before HDF5
 SCHEMA_VERSION: Final = 2
@@ -181,13 +169,8 @@ _SAME: Final = 1e-5
 
 
 def motion_path(path: str | Path) -> Path:
-    """Return the motion's file in an output folder.
-
-    Args:
-        path: output of `reconstruct` or `run`, or the file itself.
-
-    Raises:
-        FileFormatError: a folder without a motion.
+    """Return the motion's file in the output folder of `reconstruct` or `run`, or the file itself; `FileFormatError`
+    for a folder without a motion.
     """
     path = Path(path)
     if not path.is_dir():
@@ -204,10 +187,8 @@ def file_in(folder: Path) -> Path | None:
 
 
 def motion_folder(path: str | Path) -> Path:
-    """Return the folder of the motion's file.
-
-    Raises:
-        FileFormatError: there is no such folder or file, or no motion in it.
+    """Return the folder of the motion's file; `FileFormatError` where there is no such folder or file, or no motion in
+    it.
     """
     found = motion_path(path)
     if not found.is_file():
@@ -298,9 +279,10 @@ class MotionReader(MotionSource):
         nodes = frames
         self._nodes: Index | None = None
         if covariances and not first:
-            found = self._file.whole("covariance_frames")
-            self._nodes = checked_nodes("covariance_frames", found, frames)
-            nodes = len(self._nodes)
+            found = readonly("covariance_frames", self._file.whole("covariance_frames"), ("K",), np.intp)
+            if not len(found) or found[0] != 0 or found[-1] != frames - 1 or np.any(np.diff(found) <= 0):
+                raise InvalidInputError(f"covariance_frames: do not increase from 0 to {frames - 1}, the last frame")
+            self._nodes, nodes = found, len(found)
         for name, length in (*((n, frames) for n in needed), *((n, nodes) for n in covariances)):
             if shapes[name][0] != length:
                 raise ShapeError(f"{name}: arrays of different lengths, {shapes[name][0]} and {length}")
@@ -450,14 +432,7 @@ class MotionWriter(BlockWriter):
 
 
 def write_motion(path: str | Path, motion: Motion, *, first_frame: int = 0, mode: str = "") -> None:
-    """Write a motion over an existing file.
-
-    Args:
-        first_frame: number of the first frame in the video.
-
-    Raises:
-        RtofError: it cannot be written.
-    """
+    """Write a motion over an existing file; `first_frame`: number of the first frame in the video."""
     with MotionWriter(path, motion.skeleton, mode=mode, first_frame=first_frame) as writer:
         writer.append(motion)
 

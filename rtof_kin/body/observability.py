@@ -189,18 +189,14 @@ def observed_dofs(motion: Motion | ObservationMasks) -> Mask:
 
 
 def root_turn_observed(motion: Motion | ObservationMasks) -> Mask:
-    """Return a mask (T,) of frames with observed root orientation. motion: see `observed_dofs`."""
+    """Return a mask (T,) of frames with observed root orientation."""
     masks = ObservationMasks.of(motion)
     return np.asarray(masks.known & (masks.levels[:, 0] == WHOLE)) if masks.has_sources else masks.known
 
 
 def never_observed(motion: Motion | ObservationMasks) -> tuple[str, ...]:
-    """Return the URDF names of degrees of freedom that were never observed and do not move anything observed.
-
-    They are zero, or belong to a segment without children.
-
-    Args:
-        motion: see `observed_dofs`.
+    """Return the URDF names of degrees of freedom that were never observed and do not move anything observed. They are
+    zero, or belong to a segment without children.
     """
     masks = ObservationMasks.of(motion)
     skeleton = masks.skeleton
@@ -217,13 +213,8 @@ def never_observed(motion: Motion | ObservationMasks) -> tuple[str, ...]:
 
 
 def observed_landmarks(motion: Motion | ObservationMasks) -> Mask:
-    """Return a mask (T, L) of observed landmarks.
-
-    The position of the joint must be observed, and for other points than the joint the orientation of the
-    segment; the direction of the bone suffices for points on the bone.
-
-    Args:
-        motion: see `observed_dofs`.
+    """Return a mask (T, L) of observed landmarks. The position of the joint must be observed, and for other points than
+    the joint the orientation of the segment; the direction of the bone suffices for points on the bone.
     """
     masks = ObservationMasks.of(motion)
     skeleton, located = masks.skeleton, masks.position_observed
@@ -239,12 +230,8 @@ def observed_landmarks(motion: Motion | ObservationMasks) -> Mask:
 
 
 def observed_bones(motion: Motion | ObservationMasks) -> Mask:
-    """Return a mask (T, J) of observed lines from parents to joints; of the root, whether it is observed.
-
-    Both ends must be observed, or the orientation of the segment if the joint is valid.
-
-    Args:
-        motion: see `observed_dofs`.
+    """Return a mask (T, J) of observed lines from parents to joints; of the root, whether it is observed. Both ends
+    must be observed, or the orientation of the segment if the joint is valid.
     """
     masks = ObservationMasks.of(motion)
     located = masks.position_observed

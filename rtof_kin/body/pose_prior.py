@@ -140,14 +140,7 @@ class PosePrior:
 
     @classmethod
     def load(cls, joints: Sequence[str], path: str | Path | None = None) -> PosePrior:
-        """Load a prior.
-
-        Args:
-            path: file; default: the shipped prior.
-
-        Raises:
-            FileFormatError: not a prior of these joints.
-        """
+        """Load a prior, by default the shipped one; `FileFormatError` for a file that is not a prior of these joints."""
         path = Path(path or model_path("pose_prior.npz"))
         arrays = read_npz(path)
         with reading(path, f"no pose prior of {len(joints)} joints ({{}})", KeyError, InvalidInputError):
@@ -155,11 +148,7 @@ class PosePrior:
 
     @classmethod
     def from_arrays(cls, joints: Sequence[str], arrays: Mapping[str, Array]) -> PosePrior:
-        """Return the prior of `arrays`.
-
-        Raises:
-            KeyError, InvalidInputError: one is missing or wrong.
-        """
+        """Return the prior of `arrays`; KeyError or `InvalidInputError` where one is missing or wrong."""
         return cls(
             tuple(joints),
             arrays["mean_quat_wxyz"],
@@ -195,7 +184,9 @@ class PosePrior:
         have the covariance W + B - B (B + S)^-1 B. Where B is unknown, b = y and the covariance stays.
         """
         mean, spread = so3.from_quat_wxyz(self.mean_quat_wxyz), self.between_and_within
-        told, index = self._means(posture), [self.joints.index(joint) - 1 for joint in posture.joints]
+        pairs = zip(posture.joints, posture.R_parent_bone, strict=True)
+        told = np.array([R @ self._after_t_pose(mean, joint) for joint, R in pairs])  # of the joints of the posture
+        index = [self.joints.index(joint) - 1 for joint in posture.joints]
         if spread is None:
             mean[index] = told
             return replace(self, mean_quat_wxyz=so3.to_quat_wxyz(mean))
@@ -210,13 +201,6 @@ class PosePrior:
             covariance=within + between - gain @ between[rows],
             covariance_about_posture=None,
         )
-
-    def _means(self, posture: NeutralPosture) -> Array:
-        """Mean rotations (K, 3, 3) of the joints of a posture that it tells."""
-        mean, out = so3.from_quat_wxyz(self.mean_quat_wxyz), list[Array]()
-        for joint, R in zip(posture.joints, posture.R_parent_bone, strict=True):
-            out.append(R @ self._after_t_pose(mean, joint))
-        return np.array(out)
 
     def _after_t_pose(self, mean: Array, joint: str) -> Array:
         """Rotation (3, 3) from that of a joint in the T-pose to its mean."""

@@ -159,14 +159,7 @@ class SkeletonModel:
 
     @classmethod
     def named(cls, name: str) -> SkeletonModel:
-        """Load a shipped skeleton.
-
-        Args:
-            name: 'total_capture' or 'human36m'.
-
-        Raises:
-            UnknownNameError: another name.
-        """
+        """Load a shipped skeleton, 'total_capture' or 'human36m'; `UnknownNameError` for another name."""
         shipped = {"total_capture": cls.default, "human36m": cls.human36m}
         if name not in shipped:
             raise UnknownNameError("skeleton", [name], list(shipped))
@@ -225,10 +218,8 @@ class SkeletonModel:
         return indices_of("joint", names, self.names)
 
     def check_joints(self, names: tuple[str, ...], what: str = "poses") -> None:
-        """Check that names are all joints of this skeleton in its order.
-
-        Raises:
-            UnknownNameError: an unknown joint. InvalidInputError: missing joints or another order.
+        """Check that names are all joints of this skeleton in its order; `UnknownNameError` for an unknown joint,
+        `InvalidInputError` for missing joints or another order.
         """
         if names != self.names:
             self.index(*names)
@@ -284,26 +275,14 @@ class SkeletonModel:
         )
 
     def with_height(self, height: float) -> SkeletonModel:
-        """Return the skeleton scaled to another standing height.
-
-        Args:
-            height: m.
-
-        Raises:
-            InvalidInputError: not a human height.
-        """
+        """Return the skeleton scaled to another standing height, m; `InvalidInputError` for no human height."""
         if not 0.4 < height < 2.6:
             raise InvalidInputError(f"height: {height} m is no human height; give metres")
         return self.with_offsets(self.joint_offsets * (height / self.height))
 
     def with_mass(self, mass_kg: float | None, sex: str | None = None) -> SkeletonModel:
-        """Return the skeleton with another body mass.
-
-        Args:
-            mass_kg: kg. sex: 'male' or 'female', de Leva's column; each unchanged if None.
-
-        Raises:
-            InvalidInputError: not a human mass, or another sex.
+        """Return the skeleton with another body mass, kg, and another sex, 'male' or 'female', de Leva's column, each
+        unchanged if None; `InvalidInputError` for no human mass, or another sex.
         """
         if mass_kg is None and sex is None:
             return self

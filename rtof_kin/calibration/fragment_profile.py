@@ -52,7 +52,6 @@ class UnknownsHessian:
     """
 
     def __init__(self, frames: int, size: int, parts: Sequence[slice], changes: Sequence[Changes]) -> None:
-        """Begin with zeros."""
         count = parts[-1].stop if parts else 0
         self.columns, self.corner = np.zeros((frames, size, count)), np.zeros((count, count))
         self.gradient = np.zeros(count)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -323,23 +323,16 @@ class MotionScore:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> MotionScore:
-        """Read a file of ``models/build_assignment.py``.
-
-        Args:
-            path: default: the shipped one.
-
-        Raises:
-            FileFormatError: not such a file.
+        """Read a file of ``models/build_assignment.py``, by default the shipped one; `FileFormatError` for another
+        file.
         """
         arrays = read_npz_as_saved(model_path("assignment.npz") if path is None else Path(path), kinds="fiubU")
         segments = tuple(str(name) for name in arrays.pop("segments"))
         return cls(segments, {name: values.astype(np.float64) for name, values in arrays.items()})
 
     def tables(self, motions: SensorMotions, segments: Sequence[str]) -> tuple[Array, Array]:
-        """Return scores, nats, of sensors (S, K) and of ordered pairs (S, S, K, K), 0 of one with itself.
-
-        Raises:
-            UnknownNameError: a segment is not known.
+        """Return scores, nats, of sensors (S, K) and of ordered pairs (S, S, K, K), 0 of one with itself;
+        `UnknownNameError` for a segment that is not known.
         """
         keep = indices_of("segment", segments, self.segments)
         f = self._scaled("single", single_features(motions))
@@ -409,8 +402,9 @@ def image_scores(
             f"video and sensors have {known.sum() / RATE_HZ:.1f} s of a visible person in common; put the "
             "sensors on the video's clock (rtof_kin.calibration.clocks), or give no poses"
         )
-    w_bone = np.stack([_turning(motions.times, R_bone[:, k]) for k in range(len(index))], axis=1)
-    w = signals.low_pass_known(motions.times, motions.w.reshape(len(motions), -1), _CUTOFF_HZ).reshape(motions.w.shape)
+    smooth = partial(signals.low_pass_known, motions.times, cutoff_hz=_CUTOFF_HZ)
+    w_bone = np.stack([smooth(angular_velocity(motions.times, R)) for R in R_bone.swapaxes(0, 1)], axis=1)
+    w = smooth(motions.w.reshape(len(motions), -1)).reshape(motions.w.shape)
     rows = np.flatnonzero(known & np.isfinite(w_bone).all(axis=(1, 2)))[::_EVERY]
     sigma = _sigma(poses, index, segments, motions.times[rows])
     return _scores(R_bone[rows], w_bone[rows], sigma, motions.R[rows], w[rows])
@@ -423,11 +417,6 @@ def _sigma(poses: PoseSequence, index: Sequence[int], segments: Sequence[str], t
     factors = [next(f for end, f in _FACTORS.items() if name.endswith(end)) for name in segments]
     across, along = np.array(factors).T
     return np.asarray(np.hypot(np.stack([across * stated, across * stated, along * stated], axis=-1), _LEAST))
-
-
-def _turning(times: Array, R: Array) -> Array:
-    """Return the low-passed angular velocity (T, 3) in world."""
-    return signals.low_pass_known(times, angular_velocity(times, R), _CUTOFF_HZ)
 
 
 def _scores(R_bone: Array, w_bone: Array, sigma: Array, R_sensor: Array, w_sensor: Array) -> Array:

@@ -326,11 +326,7 @@ def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, 
 
 
 def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
-    """Read a calibration.
-
-    Raises:
-        FileFormatError, UnknownNameError: the message names file, field and remedy.
-    """
+    """Read a calibration; `FileFormatError` or `UnknownNameError`, which names file, field and remedy."""
     data = load_toml(path)
     if "quantities" not in data:
         raise FileFormatError(

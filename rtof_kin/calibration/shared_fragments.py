@@ -76,7 +76,12 @@ class Excerpt:
         """
         data = [_observed(part, frames, settings) for part in slices]
         sensed = max(data, key=lambda own: len(own.space.names) - len(own.fixed))
-        alike = [i for i, own in enumerate(data) if _same_states(own, sensed)]
+        alike = [
+            i
+            for i, own in enumerate(data)  # the same joints turn, with the same sensors
+            if (own.space.names, own.fixed) == (sensed.space.names, sensed.fixed)
+            and np.array_equal(own.problem.sigma_jerk, sensed.problem.sigma_jerk)
+        ]
         data = [data[i] for i in alike]
         whole = [
             (i, first) for i, own in enumerate(data) for first in range(0, len(own.start) - frames + 1, frames)
@@ -155,15 +160,6 @@ def _observed(part: Slice, frames: int, settings: JointSpaceSettings) -> Observa
         recording.keypoints,
         part.bone_imus,
         places=() if part.bone_imus is None else part.bone_imus.joints,
-    )
-
-
-def _same_states(one: Observations, other: Observations) -> bool:
-    """Whether the same joints turn, with the same sensors."""
-    return (
-        one.space.names == other.space.names
-        and one.fixed == other.fixed
-        and np.array_equal(one.problem.sigma_jerk, other.problem.sigma_jerk)
     )
 
 

@@ -61,7 +61,6 @@ class RtofError(Exception):
     """Base of all errors raised on purpose by this package; its message has no control characters."""
 
     def __init__(self, *arguments: object):
-        """Take the message."""
         super().__init__(*(plain(one) if isinstance(one, str) else one for one in arguments))
 
 

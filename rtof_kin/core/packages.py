@@ -54,7 +54,6 @@ class Extensions(Generic[T]):
     """
 
     def __init__(self, group: str, kind: type[T], name: Callable[[T], str]) -> None:
-        """Describe the list."""
         self.group, self._kind, self._name = group, kind, name
         self._added: dict[str, T] = {}
 

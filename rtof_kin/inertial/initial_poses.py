@@ -39,9 +39,11 @@ def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> P
     seen[:, joints] = np.isfinite(bone_imus.R_world_bone[..., 0, 0])
     if not seen.any():
         raise InvalidInputError("bone_imus: no sensor has an orientation in any frame")
-    sensed = {
-        j: _bridged(bone_imus.times, bone_imus.R_world_bone[:, s]) for s, j in enumerate(joints) if seen[:, j].any()
-    }
+    sensed = dict[int, Array]()  # gaps interpolated on the geodesic and the ends extended
+    for s, j in enumerate(joints):
+        if len(known := bone_imus.times[seen[:, j]]):
+            at = np.clip(bone_imus.times, known[0], known[-1])
+            sensed[j] = signals.interpolate_rotations(bone_imus.times, bone_imus.R_world_bone[:, [s]], at)[:, 0]
     R = _Neutral(skeleton, sensed).orientations()
     ended = np.zeros_like(seen)
     ended[:, 1:] = seen[:, list(skeleton.parents[1:])]
@@ -111,13 +113,6 @@ class _Neutral:
             path.insert(0, joint)
             joint = self._parents[joint]
         return path
-
-
-def _bridged(times: Array, R: Array) -> Array:
-    """Return (T, 3, 3) with gaps interpolated on the geodesic and the ends extended."""
-    known = times[np.isfinite(R[:, 0, 0])]
-    at = np.clip(times, known[0], known[-1])
-    return np.asarray(signals.interpolate_rotations(times, R[:, None], at)[:, 0])
 
 
 def refit_root(

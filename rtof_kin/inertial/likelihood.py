@@ -120,11 +120,7 @@ def orientation_rate(times: Array, R: Array) -> Array:
     """
     last = len(times) - 1
     before, after = np.maximum(np.arange(last + 1) - 1, 0), np.minimum(np.arange(last + 1) + 1, last)
-    step = np.swapaxes(R[before], -1, -2) @ R[after]
-    known = np.isfinite(step).all(axis=(-2, -1))
-    out = np.full((last + 1, 3), np.nan)
-    out[known] = so3.log(step[known]) / (times[after] - times[before])[known, None]
-    return out
+    return so3.known_log(np.swapaxes(R[before], -1, -2) @ R[after]) / (times[after] - times[before])[:, None]
 
 
 @dataclass(frozen=True)

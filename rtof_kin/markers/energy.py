@@ -53,7 +53,8 @@ def pose_precision(space: StateSpace, widened: float = 1.0) -> Array:
         widened: factor on the standard deviations along movements (those of `_MOVES` and more). A body is fitted with
             a wide prior: many frames with a narrow one would prefer bodies on which joints turn less.
     """
-    spreads = [[s * widened if s >= _MOVES else s for s in _spread(name)] for name in space.names[1:]]
+    bare = [name.removeprefix("Left").removeprefix("Right").rstrip("0123456789") for name in space.names[1:]]
+    spreads = [[s * widened if s >= _MOVES else s for s in _SPREAD_DEG[name]] for name in bare]
     precision = block_diag(*(np.diag(np.radians(spread) ** -2.0) for spread in spreads))
     for chain, sigma in _EVEN.items():
         for a, b in pairwise(space.names.index(name) - 1 for name in chain if name in space.names):
@@ -61,11 +62,6 @@ def pose_precision(space: StateSpace, widened: float = 1.0) -> Array:
             difference[:, 3 * a : 3 * a + 3], difference[:, 3 * b : 3 * b + 3] = -np.eye(3), np.eye(3)
             precision += difference.T @ difference / sigma**2
     return np.asarray(precision)
-
-
-def _spread(name: str) -> tuple[float, float, float]:
-    bare = name.removeprefix("Left").removeprefix("Right").rstrip("0123456789")
-    return _SPREAD_DEG[bare]
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,12 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
     recording = result.recording.between(start, stop)
     stages = {name: poses[kept] for name, poses in result.stages.items()}
     scores = stage_metrics(stages, recording.truth, result.motion.skeleton, result.mode)
-    solution = None if result.solution is None else _cut_solution(result.solution, kept)
-    warnings = _cut_warnings(result, solution, kept)
-    if solution is not None:
+    warnings, solution = result.warnings, result.solution
+    if solution is not None:  # its fragments that begin in the kept frames; at first also the one before these
+        least = kept.start if kept.start > 0 else -np.inf
+        own = tuple(f for f in solution.fragments if least <= f.first_frame < kept.stop)
+        solution = FragmentSolution(solution.poses[kept], own)
+        warnings = _cut_warnings(result, solution, kept)
         moved = (replace(f, first_frame=f.first_frame + first) for f in solution.fragments)
         solution = replace(solution, fragments=tuple(moved))
     return replace(
@@ -69,17 +72,10 @@ def sample(result: Reconstruction) -> Reconstruction:
     return deepcopy(first, {id(body): body})
 
 
-def _cut_solution(solution: FragmentSolution, kept: slice) -> FragmentSolution:
-    """The fragments that begin in the kept frames; in the first part, also the one before its first frame."""
-    least = kept.start if kept.start > 0 else -np.inf
-    own = tuple(f for f in solution.fragments if least <= f.first_frame < kept.stop)
-    return FragmentSolution(solution.poses[kept], own)
-
-
-def _cut_warnings(result: Reconstruction, cut: FragmentSolution | None, kept: slice) -> tuple[str, ...]:
+def _cut_warnings(result: Reconstruction, cut: FragmentSolution, kept: slice) -> tuple[str, ...]:
     """Warnings, but of misfits those in the kept frames."""
     settings = result.choices.settings
-    if cut is None or settings is None or result.solution is None or result.keypoints is None:
+    if settings is None or result.solution is None or result.keypoints is None:
         return result.warnings
     off = reprojection_errors(result.keypoints, result.motion.skeleton, result.solution.poses)
     of_all = misfit_warnings(result.solution, off, settings)
@@ -133,7 +129,6 @@ class Seam:
     """
 
     def __init__(self) -> None:
-        """Begin before the first part."""
         self._q: Array | None = None  #: Last known configuration
         self._root: tuple[Array, float] | None = None
         """Root [m] and its variance [m^2] in the first frame of the next part, by this one."""

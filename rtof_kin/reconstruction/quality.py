@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -89,7 +89,10 @@ def with_covariances(
     for spread in (solution.spread, legs):
         if spread is not None:
             inflated = inflated.plus(spread)
-    inflated = _with_mountings(inflated, mounting_variances(prepared))
+    if variances := mounting_variances(prepared):  # constant errors of orientations
+        added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in inflated.pairs])
+        turns = inflated.turn_covariance + added[:, None, None] * np.eye(3)
+        inflated = replace(inflated, turn_covariance=turns)
     wide, position = position.added(inflated, motion.poses)
     return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), position
 
@@ -109,15 +112,6 @@ def mounting_variances(prepared: Prepared) -> dict[str, float]:
             if joint in used and sd > 0:
                 variances[joint] = max(variances.get(joint, 0.0), sd**2)
     return variances
-
-
-def _with_mountings(confidence: Confidence, variances: Mapping[str, float]) -> Confidence:
-    """Covariances of orientations with the constant error of mountings: variances by joint of the segments, rad^2."""
-    if not variances:
-        return confidence
-    added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in confidence.pairs])
-    turns = confidence.turn_covariance + added[:, None, None] * np.eye(3)
-    return replace(confidence, turn_covariance=turns)
 
 
 def zero_warnings(prepared: Prepared) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.initial_poses import poses_from_sensors
-from rtof_kin.inertial.root_path import Contacts, RootPath, by_hand, contact_points, detect_contacts, root_path
+from rtof_kin.inertial.root_path import Contacts, by_hand, contact_points, detect_contacts, root_path
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.points_beside_sensors import beside_sensors, decorrelated, on_path, rooted
 from rtof_kin.reconstruction.prepare import Job, cleaned
@@ -64,7 +64,9 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
     said = job.recording.corrections
     contacts = by_hand(detect_contacts(start, bone_imus, skeleton), start.times, said)
     path = root_path(start, bone_imus, contacts, skeleton, ankle_height)
-    start = _on_path(start, path, contacts, skeleton)
+    provenance = start.provenance.copy()
+    provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR  # sensors on the legs observe the path
+    start = rooted(replace(start, provenance=provenance), path.p_world, skeleton)
     if points is not None:
         points, start, path, contacts = on_path(points, start, path, bone_imus, skeleton, ankle_height, said)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
@@ -116,13 +118,6 @@ def frame_times(imus: ImuSequence, rate_hz: float = RATE_HZ, stop: float | None 
     rate_hz = min(rate_hz, own)
     count = int(np.floor((last - first) * rate_hz + 1e-6)) + 1
     return np.asarray(np.minimum(first + np.arange(count) / rate_hz, last))
-
-
-def _on_path(start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: SkeletonModel) -> PoseSequence:
-    """Poses with their root on a path, which sensors on the legs observed."""
-    provenance = start.provenance.copy()
-    provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
-    return rooted(replace(start, provenance=provenance), path.p_world, skeleton)
 
 
 def _warnings(start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float) -> tuple[str, ...]:

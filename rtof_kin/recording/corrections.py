@@ -61,21 +61,18 @@ def _unseen(one: Correction, keypoints: KeypointSequence) -> KeypointSequence:
 def _exchanged(one: Correction, keypoints: KeypointSequence) -> KeypointSequence:
     """Exchange left and right of all points that have both."""
     names = keypoints.names
-    other = {name: _other_side(name) for name in names}
-    order = [names.index(other[name]) if other[name] in names else i for i, name in enumerate(names)]
+    order = list(range(len(names)))
+    for i, name in enumerate(names):
+        layout, point = layout_and_point(name)
+        other = detector_point(layout, mirrored(point)) if layout else mirrored(point)
+        order[i] = names.index(other) if other in names else i
     own = one.within(keypoints.times)
     uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
     uv[own], confidence[own] = keypoints.uv_px[own][:, order], keypoints.confidence[own][:, order]
     return replace(keypoints, uv_px=uv, confidence=confidence)
 
 
-def _other_side(name: str) -> str:
-    layout, point = layout_and_point(name)
-    return detector_point(layout, mirrored(point)) if layout else mirrored(point)
-
-
 def _silent(one: Correction, sensors: list[int], imus: ImuSequence) -> ImuSequence:
-    own, R, f = one.within(imus.times), imus.R_inertial_sensor.copy(), imus.f_sensor.copy()
-    for sensor in sensors:
-        R[own, sensor], f[own, sensor] = np.nan, np.nan
+    R, f, lost = imus.R_inertial_sensor.copy(), imus.f_sensor.copy(), np.ix_(one.within(imus.times), np.array(sensors))
+    R[lost], f[lost] = np.nan, np.nan
     return replace(imus, R_inertial_sensor=R, f_sensor=f)

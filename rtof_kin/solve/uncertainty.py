@@ -77,10 +77,7 @@ def disagreement(solved: PoseSequence, start: PoseSequence, pairs: Sequence[tupl
     R = [np.concatenate([poses.R_world_bone, world], axis=1) for poses in (solved, start)]
     parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
     seen = [np.swapaxes(r[:, parents], -1, -2) @ r[:, children] for r in R]
-    between = np.swapaxes(seen[1], -1, -2) @ seen[0]
-    known = np.isfinite(between).all(axis=(2, 3))
-    turn = np.full(between.shape[:3], np.nan)
-    turn[known] = so3.log(between[known])
+    turn = so3.known_log(np.swapaxes(seen[1], -1, -2) @ seen[0])
     reach = round(WINDOW * solved.rate_hz)
     return Disagreement(*(_mean_square(d, reach) for d in (off, off - off[:, :1], turn)))
 
@@ -171,10 +168,8 @@ class CurveFactors:
         return cls(own, **{name: value for name, value in table.items() if not name.isdecimal()})
 
     def factor(self, angle: str, sensors: int) -> float | None:
-        """Return the factor of an angle; None where too few people showed it.
-
-        Args:
-            angle: clinical name. sensors: their number; the next smaller one that has factors counts.
+        """Return the factor of an angle by its clinical name; None where too few people showed it. `sensors`: their
+        number; the next smaller one that has factors counts.
         """
         known = [count for count in self.factors if count <= sensors]
         name = angle.removeprefix("right_").removeprefix("left_")
@@ -212,11 +207,7 @@ class CovarianceInflation:
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a file such as ``models/confidence.toml``.
-
-        Raises:
-            FileFormatError: it is not one.
-        """
+        """Read a file such as ``models/confidence.toml``, or raise `FileFormatError`."""
         data = load_toml(Path(path))
         with reading(path, "no table of widenings: {}", KeyError, TypeError, AttributeError, ValueError):
             widenings = {

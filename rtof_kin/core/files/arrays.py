@@ -108,13 +108,12 @@ def npz_names(path: Path) -> tuple[str, ...]:
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays in an .npz file without reading them, or raise `FileFormatError`."""
+    shapes: dict[str, tuple[int, ...]] = {}
     with _open_npz(path) as archive:
-        return {name: _shape(path, name, archive, member) for name, member in array_members(path, archive).items()}
-
-
-def _shape(path: Path, name: str, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[int, ...]:
-    with archive.open(member) as stream:
-        return _checked_header(path, name, stream, member.file_size, "fiub")[0]
+        for name, member in array_members(path, archive).items():
+            with archive.open(member) as stream:
+                shapes[name], *_ = _checked_header(path, name, stream, member.file_size, "fiub")
+    return shapes
 
 
 def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
@@ -294,7 +293,6 @@ class WaitingArray:
     """Rows (T, ...) float64, appended by blocks and read when needed; in a temporary file if they are many."""
 
     def __init__(self, row: tuple[int, ...]) -> None:
-        """Take the shape of a row."""
         self.shape: tuple[int, ...] = (0, *row)  #: Shape of the array
         self._file = tempfile.SpooledTemporaryFile(_WAITING_IN_MEMORY)  # noqa: SIM115
 

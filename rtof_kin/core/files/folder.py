@@ -117,15 +117,11 @@ def remove_leftovers(parent: Path) -> None:
             folder = Path(entry.path)
             with locked(folder) as held:
                 ended = held and _system() and found[1] == _system()
-                if ended or (held is not False and time.time() - _last_change(folder) > _OLD):
+                changed = max(path.lstat().st_mtime for path in (folder, *folder.rglob("*")))
+                if ended or (held is not False and time.time() - changed > _OLD):
                     clear(folder)
                     if folder.exists():
                         _log.warning("%s: left by a killed process; contains files of yours", folder)
-
-
-def _last_change(folder: Path) -> float:
-    """Return when something in a folder was written, s since 1970."""
-    return max(path.lstat().st_mtime for path in (folder, *folder.rglob("*")))
 
 
 _NAMED = 3  #: Number of foreign files that an error message lists

@@ -156,7 +156,7 @@ class LevenbergMarquardt:
     def _iterate(self, run: _Run, tolerance: float, reweigh: Callable[[Array], bool] | None) -> bool | None:
         """Try one step; return True if converged, False if no step lowers the energy, else None."""
         fresh = run.factor is None
-        gradient = self.linearise(run.x, run.m) if fresh else self._gradient(run.x, run.m)
+        gradient = self.linearise(run.x, run.m, hessian=fresh)
         factor = run.factor or self._factorise(run)
         if factor is None:
             return None
@@ -227,21 +227,15 @@ class LevenbergMarquardt:
             energy += 0.5 * STIFFNESS * float(np.vdot(pushed, pushed))
         return float(energy - 0.5 / STIFFNESS * np.vdot(m, m))
 
-    def linearise(self, x: Array, m: Array) -> Array:
-        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian."""
-        _, gradient = self.problem.linearise(x)
+    def linearise(self, x: Array, m: Array, hessian: bool = True) -> Array:
+        """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian if asked to."""
+        gradient = self.problem.linearise(x)[1] if hessian else self.problem.gradient(x)
         if (pushed := self._pushed(x, m)) is None:
             return gradient
         assert self.limits is not None
-        frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
-        cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, STIFFNESS * squares)
-        return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
-
-    def _gradient(self, x: Array, m: Array) -> Array:
-        gradient, pushed = self.problem.gradient(x), self._pushed(x, m)
-        if pushed is None:
-            return gradient
-        assert self.limits is not None
+        if hessian:
+            frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
+            cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, STIFFNESS * squares)
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:

@@ -17,7 +17,6 @@ from rtof_kin.calibration.bone_images import NAME as CLOCKS
 from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images, check_clocks
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
@@ -99,22 +98,15 @@ def check_sensor_evidence(
     if clocks.failed:
         return (*found, clocks, unknown_setup(f"first {clocks.cause}"))
     shared = [check_still(native, skeleton), tilt]
-    if not view_suspect:
-        shared += list(_against_image(images, prepared, poses, shared, recording.video.camera))
+    if not view_suspect:  # of all sensors against the image, and of one about its bone
+        if images is not None and not any(check.failed for check in shared):
+            shared += check_turned(images, declared.camera, tilt.passed)
+        if prepared.bone_imus is not None:
+            shared.append(check_twist(poses, prepared.bone_imus, skeleton))
     found = (*found, *shared)
     if wrong := next((check for check in shared if check.failed), None):
         return (*found, clocks, unknown_setup(f"first {wrong.cause}"))
     return (*found, clocks, _check_setup(recording, prepared, seen, images, native, lifter, suspect, view_suspect))
-
-
-def _against_image(
-    images: BoneImages | None, prepared: Prepared, poses: PoseSequence, still_and_tilt: list[Check], camera: Camera
-) -> Iterator[Check]:
-    """Yield checks of the rotation of all sensors against the image, and of one about its bone."""
-    if images is not None and not any(check.failed for check in still_and_tilt):
-        yield from check_turned(images, camera, still_and_tilt[-1].passed)
-    if prepared.bone_imus is not None:
-        yield check_twist(poses, prepared.bone_imus, prepared.skeleton)
 
 
 def _exchanged_samples(imus: ImuSequence, calibration: ImuCalibration) -> Iterator[BoneImuSequence]:

@@ -89,7 +89,11 @@ class Observations:
         self.points = joined_points([image_points(skeleton, names) for names in named])
         stops = np.cumsum([len(k.names) for k in self.seen]).tolist()
         cameras = [(k.camera, part) for k, part in zip(self.seen, map(slice, [0, *stops], stops), strict=False)]
-        self.active = _active(bone_imus)
+        self.active = set[str]()
+        if bone_imus is not None:
+            turns = np.isfinite(bone_imus.R_world_bone).all(axis=(2, 3)).any(axis=0)
+            moves = np.isfinite(bone_imus.a_world).all(axis=2).any(axis=0)
+            self.active = {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
         self.sensors = tuple(n for n in skeleton.names if n in self.active or n in places)
         self.sensed = sensor_data(self.times, low_passed(bone_imus, settings), self.sensors, settings)
         turning = {skeleton.names[p] for p in skeleton.parents if p >= 0} | self.active
@@ -174,12 +178,3 @@ def fragment_of(
     a, w = a_world[index][1:-1], w_acceleration[index][1:-1] * whole[:, None]
     w_jerk = (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float)
     return index, inside, FragmentData(observation, dict(constant), a, w, w_jerk, rate_hz)
-
-
-def _active(bone_imus: BoneImuSequence | None) -> set[str]:
-    """Segments whose sensor has any data."""
-    if bone_imus is None:
-        return set()
-    turns = np.isfinite(bone_imus.R_world_bone).all(axis=(2, 3)).any(axis=0)
-    moves = np.isfinite(bone_imus.a_world).all(axis=2).any(axis=0)
-    return {bone_imus.joints[s] for s in np.flatnonzero(turns | moves)}
