@@ -21,14 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.motion_score import (
-    RATE_HZ,
-    SensorMotions,
-    joined,
-    pair_features,
-    sensor_motions,
-    single_features,
-)
+from rtof_kin.calibration.motion_score import RATE_HZ, SensorMotions, pair_features, sensor_motions, single_features
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
@@ -143,7 +136,8 @@ def piece(rng: np.random.Generator, motions: Sequence[SensorMotions], seconds: f
         wanted -= length
         if wanted < LEAST_PIECE * RATE_HZ:
             break
-    return joined(parts)
+    fields = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")}
+    return SensorMotions(parts[0].names, **fields)
 
 
 class Scores(nn.Module):

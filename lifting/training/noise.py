@@ -133,7 +133,11 @@ def _independent(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: f
     bias = config.bias_px * draw.normal(B, 2, 1, J)
     drift = config.drift_px * _drift(body, config, W, draw, rate_hz)
     amplitude = draw.between(config.amplitude, B, 1, 1, 1)
-    error = (bias + drift) * (amplitude * _joint_factors(body).to(bias))
+    factor = torch.ones(J)  # larger at wrists and elbows, smaller at knees and ankles
+    for limbs, size in ((body.arms, 1.3), (body.legs, 0.8)):
+        for limb in limbs:
+            factor[limb[1:]] = size
+    error = (bias + drift) * (amplitude * factor.to(bias))
     error += config.jitter_px * draw.normal(B, 2, W, J)
     outlier = runs(config.outlier_share, W, J, draw, rate_hz, config.run_s)
     error += outlier[:, None] * (config.outlier_px * draw.normal(B, 2, 1, J))
@@ -171,15 +175,6 @@ def _drift(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: float) 
     wrists = [arm[-1] for arm in body.arms]
     drift[..., wrists] = torch.matmul(fast, weights[..., wrists])
     return drift
-
-
-def _joint_factors(body: Body) -> Tensor:
-    """(J,) factors on the error: larger at wrists and elbows, smaller at knees and ankles."""
-    factor = torch.ones(len(body.names))
-    for limbs, size in ((body.arms, 1.3), (body.legs, 0.8)):
-        for limb in limbs:
-            factor[limb[1:]] = size
-    return factor
 
 
 def runs(share: float, W: int, n: int, draw: Draw, rate_hz: float, seconds: tuple[float, float] = (0.2, 1.0)) -> Tensor:

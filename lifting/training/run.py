@@ -84,6 +84,8 @@ def step_seed(seed: int, step: int) -> int:
 
 FURTHER: Final = 0.05  #: First factor of layers that a lifter of a shorter receptive field lacks
 VALIDATION_RARITY: Final = 19.0  #: Least time between two validations, in durations of one: they take 5 %
+_TRAINED: Final = ("network", "averaged", "optimizer")  #: Fields of `Run` with a state of their own in the file
+_COUNTED: Final = ("steps", "seconds", "validated", "history", "started_from")  #: Further fields in the file
 
 
 class Run:
@@ -220,20 +222,9 @@ class Run:
 
     def save(self, path: Path) -> None:
         """Write the state that `restore` reads."""
-        state = {
-            "config": self.config.fixed(),
-            "corpus": self.digest,
-            "network": self.network.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "steps": self.steps,
-            "seconds": self.seconds,
-            "validated": self.validated,
-            "losses": [float(x) for x in self.losses],
-            "history": self.history,
-            "started_from": self.started_from,
-        }
-        checkpoint.save_tensors(state, path, overwrite=True)
+        state = {"config": self.config.fixed(), "corpus": self.digest, "losses": [float(x) for x in self.losses]}
+        state |= {name: getattr(self, name).state_dict() for name in _TRAINED}
+        checkpoint.save_tensors(state | {name: getattr(self, name) for name in _COUNTED}, path, overwrite=True)
 
     def start(self, lifter: str | Path) -> None:
         """Begin with the weights of another lifter, a file or a name, see `rtof_kin.core.resources.lifter_path`.
@@ -279,12 +270,10 @@ class Run:
                 raise FileFormatError(
                     path, "belongs to a training on other motion; give that motion, delete it or do not resume"
                 )
-            self.network.load_state_dict(state["network"])
-            self.averaged.load_state_dict(state["averaged"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.steps, self.seconds = state["steps"], state["seconds"]
-            self.validated, self.history = state["validated"], state["history"]
-            self.started_from = state["started_from"]
+            for name in _TRAINED:
+                getattr(self, name).load_state_dict(state[name])
+            for name in _COUNTED:
+                setattr(self, name, state[name])
             self.losses = [torch.tensor(x, device=self.device) for x in state["losses"]]
 
 

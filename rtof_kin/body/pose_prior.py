@@ -140,7 +140,7 @@ class PosePrior:
 
     @classmethod
     def load(cls, joints: Sequence[str], path: str | Path | None = None) -> PosePrior:
-        """Load a prior, by default the shipped one; `FileFormatError` for a file that is not a prior of these joints."""
+        """Load a prior, by default the shipped one; `FileFormatError` for a file that is no prior of these joints."""
         path = Path(path or model_path("pose_prior.npz"))
         arrays = read_npz(path)
         with reading(path, f"no pose prior of {len(joints)} joints ({{}})", KeyError, InvalidInputError):

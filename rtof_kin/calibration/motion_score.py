@@ -124,12 +124,6 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
     return R[:, 0], w, signals.low_pass_known(times, a, _SIGNALS_HZ), D
 
 
-def joined(parts: Sequence[SensorMotions]) -> SensorMotions:
-    """Return recordings of the same sensors, mounted as before, one after the other."""
-    fields = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")}
-    return SensorMotions(parts[0].names, **fields)
-
-
 _LEVER = 0.2  # [m] usual distance of a sensor from a joint of its segment
 _NOISE = 0.3  # [m/s^2] of an acceleration
 _HEADINGS = 24  # Differences of headings tried, evenly from 0

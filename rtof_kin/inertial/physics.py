@@ -46,20 +46,17 @@ def check_log(log: SensorLog) -> tuple[Check, ...]:
     `Check.likely` of a failed law is the change of the declaration under which all failing sensors obey, if there is a
     single one.
     """
+    streams, declared, out = log.streams, log.declaration, list[Check]()
     with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers give infinite figures, which fail
-        return _check(log.streams, log.declaration)
-
-
-def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Check, ...]:
-    found = [_laws(stream, declared) for stream in streams]
-    wrong = [stream for stream, checks in zip(streams, found, strict=True) if _broken(checks)]
-    changes = _likely_changes(wrong, declared) if wrong else []
-    out: list[Check] = []
-    for stream, checks in zip(streams, found, strict=True):
-        if broken := _broken(checks):
-            why, likely = _explanation(stream, declared, broken, changes)
-            checks = tuple(replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks)
-        out += [*checks, *_sampling(stream, declared)]
+        found = [_laws(stream, declared) for stream in streams]
+        wrong = [stream for stream, checks in zip(streams, found, strict=True) if _broken(checks)]
+        changes = _likely_changes(wrong, declared) if wrong else []
+        for stream, checks in zip(streams, found, strict=True):
+            if broken := _broken(checks):
+                why, likely = _explanation(stream, declared, broken, changes)
+                said = (replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks)
+                checks = tuple(said)
+            out += [*checks, *_sampling(stream, declared)]
     return tuple(out)
 
 
@@ -175,7 +172,7 @@ class _Case:
         self._start = replace(_part(stream, slice(_STEPS)), f_sensor=None)
         self._shift = laws.delay(stream)
         self._per_metre = laws.turning_acceleration(stream)
-        self._turning = cache(self._of_turning)
+        self._turning = cache(self._turned)
 
     def excess(self, other: Declaration) -> float:
         """Return the largest figure of a law as a multiple of its limit."""
@@ -186,7 +183,7 @@ class _Case:
         checks = laws.gravity_checks(stream, self._rest, self._per_metre)
         return max(excess, *map(_excess, checks))
 
-    def _of_turning(self, *values: str) -> float:
+    def _turned(self, *values: str) -> float:
         other = self._declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
         return _excess(laws.gyroscope(_redeclared(self._start, self._declared, other), self._shift))
 

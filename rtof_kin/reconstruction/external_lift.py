@@ -416,10 +416,9 @@ def turned_to(R: Array, p: Array, shown: Array, skeleton: SkeletonModel) -> Arra
         return np.stack([joints[:, pair[0]] - joints[:, pair[1]], trunk], axis=1)
 
     pelvis, thorax = (_between(across(p, pair), across(shown, pair)) for pair in (hips, arms))
-    for name, turn in (("Hips", pelvis), ("Spine", pelvis), *((name, thorax) for name in (*SPINE[1:], "Neck", "Head"))):
-        out[:, at(name)] = turn @ R[:, at(name)]
-    for shoulder in CLAVICLES:
-        out[:, at(shoulder)] = thorax @ R[:, at(shoulder)]
+    for turn, names in ((pelvis, ("Hips", "Spine")), (thorax, (*SPINE[1:], "Neck", "Head", *CLAVICLES))):
+        for name in names:
+            out[:, at(name)] = turn @ R[:, at(name)]
     for limb in kinematics.LIMBS:
         upper, lower, end = map(at, limb)
         for a, b in ((upper, lower), (lower, end)):

@@ -287,12 +287,12 @@ def smoothed(values: Array, width: float) -> Array:
     return np.asarray(gaussian_filter1d(values, width, axis=0, mode="nearest"))
 
 
-def episodes(rng: Generator, per_minute: Array, rate_hz: float, median: float, spread: float) -> list[slice]:
-    """Return runs of frames that start at random, at expected rates (T,) per minute, of log-normal durations (median in
-    s) of at least one frame.
+def episodes(rng: Generator, per_minute: Array, rate_hz: float, numbers: Mapping[str, Any]) -> list[slice]:
+    """Return runs of frames that start at random, at expected rates (T,) per minute, of log-normal durations with the
+    median, s, and the spread in a table's section, of at least one frame.
     """
     starts = np.flatnonzero(rng.random(len(per_minute)) < per_minute / 60 / rate_hz)
-    durations = median * np.exp(spread * rng.standard_normal(len(starts)))
+    durations = numbers["duration"] * np.exp(numbers["duration_spread"] * rng.standard_normal(len(starts)))
     lengths = np.maximum(np.round(durations * rate_hz).astype(int), 1)
     return [slice(start, start + length) for start, length in zip(starts, lengths, strict=True)]
 
@@ -542,7 +542,7 @@ def _jumps(rng: Generator, scene: _Scene, table: DetectorErrorTable, factor: flo
         points = table.points_of(limb["groups"])
         for side in filter(len, (points[table.left[points]], points[~table.left[points]])):
             often = np.where(scene.hidden[:, side].mean(axis=1) > 0.5, numbers["when_hidden"], 1.0)
-            for frames in _episodes(rng, factor * limb["per_minute"] * often, scene.rate_hz, numbers):
+            for frames in episodes(rng, factor * limb["per_minute"] * often, scene.rate_hz, numbers):
                 size = numbers["size_mm"] / 1e3 * np.exp(numbers["size_spread"] * rng.standard_normal())
                 out[frames, side] += size * rng.standard_normal(2) * share[side]
     return out
@@ -558,13 +558,9 @@ def _exchanged(rng: Generator, uv: Array, scene: _Scene, table: DetectorErrorTab
             continue
         beyond = np.maximum(apart[:, points].mean(axis=1) - numbers["near_mm"], 0)
         likely = np.sin(scene.azimuth) ** 2 * (numbers["always"] + np.exp(-beyond / numbers["near_mm"]))
-        for frames in _episodes(rng, factor * row["per_minute"] * likely, scene.rate_hz, numbers):
+        for frames in episodes(rng, factor * row["per_minute"] * likely, scene.rate_hz, numbers):
             out[frames, points] = out[frames][:, table.mirror[points]]
     return out
-
-
-def _episodes(rng: Generator, per_minute: Array, rate_hz: float, numbers: Mapping[str, Any]) -> list[slice]:
-    return episodes(rng, per_minute, rate_hz, numbers["duration"], numbers["duration_spread"])
 
 
 # --- what the detector says ----------------------------------------------------------------------
@@ -589,6 +585,6 @@ def _lost(rng: Generator, inside: Mask, rate_hz: float, table: DetectorErrorTabl
     numbers, T = table.numbers["lost"], len(inside)
     wandering = ornstein_uhlenbeck(rng, T, (), numbers["share_memory"] * rate_hz)
     out = inside.mean(axis=1) < numbers["share_inside"] + numbers["share_sd"] * wandering
-    for frames in _episodes(rng, np.full(T, factor * numbers["per_minute"]), rate_hz, numbers):
+    for frames in episodes(rng, np.full(T, factor * numbers["per_minute"]), rate_hz, numbers):
         out[frames] = True
     return np.asarray(out)

@@ -91,17 +91,12 @@ def _read(path: Path) -> Detections:
         raise FileFormatError(path, f"not one of {', '.join(FORMATS)}, nor a folder of OpenPose's .json files")
     if not path.is_file():
         raise FileFormatError(path, "there is no such file or folder")
-    if suffix == ".json":
-        return _read_json(path)
+    readers = {".json": _read_json, ".trc": read_pixel_trc, ".csv": read_csv_table, ".h5": read_sleap_h5}
+    if suffix in readers:
+        return readers[suffix](path)
     if suffix == ".xdf":
         points = read_xdf_points(path)
         return Detections(points.uv_px[:, None], points.confidence[:, None], points.times, points.names)
-    if suffix == ".trc":
-        return read_pixel_trc(path)
-    if suffix == ".csv":
-        return read_csv_table(path)
-    if suffix == ".h5":
-        return read_sleap_h5(path)
     arrays = {"keypoints": read_npy(path)} if suffix == ".npy" else read_npz(path)
     text = np.nan_to_num(arrays.get("detector", np.zeros(0))).clip(0, 255).astype(np.uint8).tobytes()
     about = "".join(filter(str.isprintable, text.decode(errors="replace")))[:_LONGEST_TEXT]

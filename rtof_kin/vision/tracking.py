@@ -194,21 +194,17 @@ def _trails(measures: _Measures, times: Array) -> list[_Trail]:
         people = np.flatnonzero(measures.present[t]).tolist()
         finished += [trail for trail in current if now - trail.seen_at > _LONGEST_GAP]
         current = [trail for trail in current if now - trail.seen_at <= _LONGEST_GAP]
-        taken = _link(current, measures, t, people, now)
-        for person in people:
-            if person not in taken:
-                current.append(_Trail())
-                current[-1].extend(measures, t, person, now)
+        _link(current, measures, t, people, now)
     return finished + current
 
 
-def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], now: float) -> set[int]:
-    """Assign the people of a frame to trails with the least total distance; return those assigned."""
-    if not trails or not people:
-        return set()
-    far = np.array([[trail.distance(measures, t, p, now) for p in people] for trail in trails])
+def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], now: float) -> None:
+    """Assign the people of a frame to trails with the least total distance; the others begin trails of their own."""
+    far = np.reshape(
+        [trail.distance(measures, t, p, now) for trail in trails for p in people], (len(trails), len(people))
+    )
     rows, columns = linear_sum_assignment(np.where(np.isfinite(far), far, 1e6))
-    taken = set()
+    new = dict.fromkeys(people)
     for row, column in zip(rows, columns, strict=True):
         if not np.isfinite(far[row, column]):
             continue
@@ -216,8 +212,10 @@ def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], 
         if np.any(others < _AMBIGUOUS * max(far[row, column], 0.05)):
             trails[row].unsure.append(t)
         trails[row].extend(measures, t, people[column], now)
-        taken.add(people[column])
-    return taken
+        del new[people[column]]
+    for person in new:
+        trails.append(_Trail())
+        trails[-1].extend(measures, t, person, now)
 
 
 def _prominence(trail: _Trail, measures: _Measures, image_px: tuple[float, float] | None) -> float:
@@ -295,12 +293,7 @@ class PersonFollower:
         if not people:
             return None
         measures = _Measures(Detections.of_frames({0: people}))
-        there = np.flatnonzero(measures.present[0]).tolist()
-        taken = _link(self._trails, measures, 0, there, time)
-        for person in there:
-            if person not in taken:
-                self._trails.append(_Trail())
-                self._trails[-1].extend(measures, 0, person, time)
+        _link(self._trails, measures, 0, np.flatnonzero(measures.present[0]).tolist(), time)
         now = [trail for trail in self._trails if trail.seen_at == time]
         for trail in now:
             trail.forget()

@@ -266,7 +266,7 @@ def test_processes_and_episodes_have_their_memory_rate_and_duration() -> None:
     assert x[0].std() == pytest.approx(1, abs=0.25)
     assert x.std() == pytest.approx(1, rel=0.05)
     assert (x[20:] * x[:-20]).mean() == pytest.approx(np.exp(-1), abs=0.05)
-    runs = episodes(rng, np.full(600_000, 12.0), 60.0, 0.5, 0.3)
+    runs = episodes(rng, np.full(600_000, 12.0), 60.0, {"duration": 0.5, "duration_spread": 0.3})
     assert len(runs) == pytest.approx(12 * 600_000 / 3600, rel=0.1)
     assert np.median([run.stop - run.start for run in runs]) == pytest.approx(30, abs=2)
 
