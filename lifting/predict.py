@@ -19,6 +19,7 @@ from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
+from rtof_kin.core.over_time import OverTime
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
@@ -29,7 +30,7 @@ CHUNK = 128  #: Windows lifted at once: fewer cost more calls, more leave the ca
 
 
 @dataclass(frozen=True)
-class LiftedPoses:
+class LiftedPoses(OverTime):
     """Poses of one person in world with standard deviations."""
 
     times: Array  #: (T,) s, those of the keypoints
@@ -43,6 +44,7 @@ class LiftedPoses:
     to the root and, in the root's row, of the root. NaN where not seen or not estimated."""
     R_world_bone: Array  #: (T, J, 3, 3) orientations of segments; NaN where not seen or not estimated
     sigma_rad: Array  #: (T, J) their standard deviation per axis, rad; NaN likewise
+    rows = ("p_world_joint", "seen", "sigma_m", "R_world_bone", "sigma_rad")
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -53,9 +55,6 @@ class LiftedPoses:
         shapes = {"p_world_joint": (T, J, 3), "sigma_m": (T, J, 2), "R_world_bone": (T, J, 3, 3)}
         for name, shape in {**shapes, "sigma_rad": (T, J)}.items():
             set_(self, name, readonly(f"lifted {name}", getattr(self, name), shape))
-
-    def __len__(self) -> int:
-        return len(self.times)
 
 
 class Lifter:

@@ -132,7 +132,7 @@ def piece(rng: np.random.Generator, motions: Sequence[SensorMotions], seconds: f
         least = min(len(motions[i]), round(LEAST_PIECE * RATE_HZ))
         length = min(len(motions[i]), max(wanted, least))
         first = int(rng.integers(len(motions[i]) - length + 1))
-        parts.append(motions[i].select(np.arange(first, first + length)))
+        parts.append(motions[i][first : first + length])
         wanted -= length
         if wanted < LEAST_PIECE * RATE_HZ:
             break

@@ -8,13 +8,12 @@ log-probability up to a constant.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -23,6 +22,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.over_time import OverTime
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
@@ -38,7 +38,7 @@ _TILTED_DEG = 10.0  # [deg] of the mean specific force from up, from which an or
 
 
 @dataclass(frozen=True, eq=False)
-class SensorMotions:
+class SensorMotions(OverTime):
     """Motion of S sensors at T times, each in its own inertial reference with z up."""
 
     names: tuple[str, ...]  # S sensors
@@ -47,19 +47,12 @@ class SensorMotions:
     w: Array  # (T, S, 3) angular velocity, rad/s
     a: Array  # (T, S, 3) acceleration, m/s^2; NaN where the sensor has none
     D: Array  # (T, S, 3, 3) second derivative of R, 1/s^2: a point r of the sensor's body accelerates by a + D r
+    rows = ("R", "w", "a", "D")
 
     @property
     def accelerated(self) -> bool:
         """Whether every sensor measured accelerations."""
         return bool(np.isfinite(self.a).all())
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def select(self, rows: slice | NDArray[Any]) -> SensorMotions:
-        """Return only some times."""
-        cut = {name: getattr(self, name)[rows] for name in ("times", "R", "w", "a", "D")}
-        return replace(self, **cut)
 
 
 def sensor_motions(log: SensorLog) -> SensorMotions:
@@ -88,7 +81,7 @@ def sensor_motions(log: SensorLog) -> SensorMotions:
             f"the sensors of {log.path} have samples together for {known.sum() / RATE_HZ:.1f} s only; "
             "rtof-kin inspect lists their gaps"
         )
-    return motions.select(known)
+    return motions[np.flatnonzero(known)]
 
 
 def _oriented(stream: SensorStream) -> SensorStream:
@@ -251,7 +244,7 @@ def _relative_turning(motions: SensorMotions, heading: Array) -> list[Array]:
     """Return log share and planarity (S, S) of the relative angular velocity at those headings."""
     S = len(motions.names)
     share, plane = np.zeros((2, S, S))
-    every = motions.select(slice(None, None, 2))
+    every = motions[::2]
     power = np.sum(every.w**2, axis=-1).mean(axis=0)
     for a in range(S):
         for b in range(a + 1, S):

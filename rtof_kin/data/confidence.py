@@ -13,9 +13,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.over_time import OverTime
 
 WORLD = "world"  #: Parent of a segment whose orientation is relative to world
 BAND_95 = 1.959964  #: Half width of a 95 % band in standard deviations
@@ -24,7 +25,7 @@ _ROUNDING = 1e-5  #: Tolerance of symmetry and positive definiteness, relative t
 
 
 @dataclass(frozen=True)
-class Confidence:
+class Confidence(OverTime):
     """Covariances of the errors of a motion in every frame; NaN as a whole where unobserved."""
 
     times: Array  #: (T,) seconds, strictly increasing
@@ -34,6 +35,7 @@ class Confidence:
     """(T, J, 3, 3) of joint positions relative to the root, world axes, m^2; zero for the root."""
     pairs: tuple[tuple[str, str], ...]  #: P pairs of a parent segment (or `WORLD`) and a child segment, by their joints
     turn_covariance: Array  #: (T, P, 3, 3) of the child's orientation relative to the parent, child axes, rad^2
+    rows = _COVARIANCES
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -51,13 +53,6 @@ class Confidence:
         freeze(self, "confidence", **shapes)
         for name in _COVARIANCES:
             _check_covariance(f"confidence {name}", getattr(self, name))
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __getitem__(self, frames: slice | Index) -> Self:
-        cut: dict[str, Any] = {name: getattr(self, name)[frames] for name in ("times", *_COVARIANCES)}
-        return replace(self, **cut)
 
     def scaled(self, factor: float) -> Self:
         """Return the covariances times a factor; NaN stays."""

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnitError
+from rtof_kin.core.over_time import OverTime
 
 STANDARD_GRAVITY: Final = 9.80665  #: Standard gravity (CGPM 1901), m/s^2
 GRAVITY_WORLD: Final[Array] = readonly("gravity", [0.0, 0.0, -STANDARD_GRAVITY], (3,))
@@ -91,7 +92,7 @@ def _check_unit(name: str, norm: Array, turned: Array) -> None:
 
 
 @dataclass(frozen=True)
-class ImuSequence:
+class ImuSequence(OverTime):
     """Orientation and specific force of IMUs, as measured."""
 
     times: Array  #: (T,) seconds, on the clock of the keypoints, strictly increasing
@@ -100,6 +101,7 @@ class ImuSequence:
     names: tuple[str, ...]  #: S sensor names
     unit_checked: bool = field(default=False, repr=False)
     """Whether it is part of a longer sequence on which the unit of `f_sensor` was checked."""
+    rows = ("R_inertial_sensor", "f_sensor")
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -115,17 +117,9 @@ class ImuSequence:
             unit.add(self.R_inertial_sensor, self.f_sensor)
             unit.check(self.names)
 
-    def __getitem__(self, rows: slice) -> Self:
-        return replace(
-            self,
-            times=self.times[rows],
-            R_inertial_sensor=self.R_inertial_sensor[rows],
-            f_sensor=self.f_sensor[rows],
-            unit_checked=True,
-        )
-
-    def __len__(self) -> int:
-        return len(self.times)
+    def cut(self, frames: slice | Index) -> dict[str, Any]:
+        """Return some rows of the fields, whose unit was checked on the whole."""
+        return super().cut(frames) | {"unit_checked": True}
 
     @classmethod
     def joined(cls, parts: Sequence[Self], max_gap: float = 0.1) -> Self:
@@ -167,7 +161,7 @@ class ImuSequence:
 
 
 @dataclass(frozen=True)
-class BoneImuSequence:
+class BoneImuSequence(OverTime):
     """Calibrated IMUs: orientation of their segments, acceleration in world."""
 
     times: Array  #: (T,) seconds, strictly increasing
@@ -175,6 +169,7 @@ class BoneImuSequence:
     a_world: Array  #: (T, S, 3) acceleration of the sensor in world, gravity removed, m/s^2; NaN where missing
     p_bone_sensor: Array  #: (S, 3) lever arm: position of the sensor in the segment's link frame, m
     joints: tuple[str, ...]  #: S segments that carry the sensors, by their proximal joint
+    rows = ("R_world_bone", "a_world")
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -183,14 +178,6 @@ class BoneImuSequence:
         T, S = len(self.times), len(self.joints)
         freeze(self, "bone IMU", R_world_bone=(T, S, 3, 3), a_world=(T, S, 3), p_bone_sensor=(S, 3))
         checked_rotations("bone IMU R_world_bone", self.R_world_bone)
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __getitem__(self, frames: slice) -> Self:
-        return replace(
-            self, times=self.times[frames], R_world_bone=self.R_world_bone[frames], a_world=self.a_world[frames]
-        )
 
     def select(self, joints: Sequence[str]) -> Self:
         """Return the sensors of segments in the order of `joints`. `UnknownNameError`: a segment has no sensor."""

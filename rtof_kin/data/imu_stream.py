@@ -15,6 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze, indices_of
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.over_time import OverTime
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 
 AccelerationUnit = Literal["m/s2", "g", "mg"]
@@ -193,7 +194,7 @@ class StreamFault:
 
 
 @dataclass(frozen=True)
-class SensorStream:
+class SensorStream(OverTime):
     """Samples of one sensor at its own times.
 
     Quantities that it does not measure are None; missing samples are NaN; lost packets are gaps of its times.
@@ -208,6 +209,7 @@ class SensorStream:
     m_sensor: Array | None = None  #: (T, 3) magnetic field in sensor axes, in the manufacturer's unit
     quaternion_norm: Array | None = None  #: (T,) norm of the quaternions in the file; None without quaternions
     notes: tuple[str, ...] = ()  #: Remarks for the user, e.g. lost packets, estimated orientation.
+    rows = ("f_sensor", "R_inertial_sensor", "w_sensor", "m_sensor", "quaternion_norm")
 
     def __post_init__(self) -> None:
         set_, where = object.__setattr__, f"sensor {self.name}"
@@ -223,9 +225,6 @@ class SensorStream:
         }
         freeze(self, where, **{n: shape for n, shape in shapes.items() if getattr(self, n) is not None})
 
-    def __len__(self) -> int:
-        return len(self.times)
-
     @property
     def holds(self) -> tuple[str, ...]:
         """Names of the measured arrays."""
@@ -240,10 +239,7 @@ class SensorStream:
     def between(self, start: float, stop: float) -> SensorStream | None:
         """Return the samples from start to before stop; None where there are fewer than two. start, stop: s."""
         a, b = np.searchsorted(self.times, [start, stop])
-        if b - a < 2:
-            return None
-        arrays = {name: getattr(self, name)[a:b] for name in ("times", *self.holds)}
-        return replace(self, **arrays, quaternion_norm=None)
+        return None if b - a < 2 else replace(self[a:b], quaternion_norm=None)
 
     def imu(self) -> ImuSequence:
         """Return orientation and specific force for a recording. `InvalidInputError`: one of them is missing."""

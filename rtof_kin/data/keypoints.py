@@ -16,6 +16,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.over_time import OverTime
 from rtof_kin.data.camera import Camera, CameraTurning
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
@@ -36,7 +37,7 @@ def layout_and_point(name: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True)
-class KeypointSequence:
+class KeypointSequence(OverTime):
     """2D landmarks of one person seen by one camera."""
 
     camera: Camera  #: Camera of the video
@@ -48,6 +49,7 @@ class KeypointSequence:
     """(T,) seconds since the first frame of the video, where `times` are those of another clock."""
     turning: CameraTurning | None = None
     """Of the handheld camera that `camera` stands for; None if `camera` itself made the video, or unknown."""
+    rows = ("uv_px", "confidence", "own_times", "turning")
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -70,12 +72,6 @@ class KeypointSequence:
         set_(self, "confidence", confidence)
         freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
 
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __getitem__(self, frames: slice) -> Self:
-        return self.at(frames, self.uv_px[frames], self.confidence[frames])
-
     def columns(self) -> dict[str, Array]:
         """Return columns (T,) of a detector's table: times, and its own points, else landmarks."""
         named = list(map(layout_and_point, self.names))
@@ -88,11 +84,7 @@ class KeypointSequence:
 
     def at(self, frames: Any, uv_px: Array, confidence: Array) -> Self:
         """Return some of the frames with other points; uv_px: (T', L, 2). confidence: (T', L)."""
-        turning = None if self.turning is None else self.turning[frames]
-        own_times = None if self.own_times is None else self.own_times[frames]
-        return replace(
-            self, times=self.times[frames], uv_px=uv_px, confidence=confidence, turning=turning, own_times=own_times
-        )
+        return replace(self, **(self.cut(frames) | {"uv_px": uv_px, "confidence": confidence}))
 
     def on_clock(self, times: Array) -> Self:
         """Return the frames at their times on another clock; `video_times` stay. times: (T,) s."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.over_time import OverTime
 
 
 class Provenance(IntEnum):
@@ -69,7 +70,7 @@ def _not_given() -> Any:
 
 
 @dataclass(frozen=True)
-class PoseSequence:
+class PoseSequence(OverTime):
     """Joint positions and segment orientations of one person in world."""
 
     times: Array  #: (T,) seconds, strictly increasing
@@ -88,6 +89,10 @@ class PoseSequence:
     hand, showed its direction. Default: False."""
     sigma_rad: Array = field(default_factory=_not_given)
     """(T, J) standard deviation per axis of the orientations, rad. Default: NaN (unknown)."""
+    rows = (
+        *("p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed", "direction_observed"),
+        "sigma_rad",
+    )
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -114,36 +119,17 @@ class PoseSequence:
         if np.any(self.sigma_rad <= 0):
             raise InvalidInputError("pose sigma_rad: not positive; write NaN where it is not known")
 
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __getitem__(self, frames: slice) -> Self:
-        return self.with_poses(frames, self.p_world_joint[frames])
-
     def with_poses(self, frames: slice, p_world_joint: Array, R_world_bone: Array | None = None) -> Self:
         """Return some frames with other poses. p_world_joint: (T', J, 3) m. R_world_bone: (T', J, 3, 3); if given,
         `sigma_rad` becomes NaN, else orientations are kept.
         """
-        sigma_rad = self.sigma_rad[frames]
-        return replace(
-            self,
-            times=self.times[frames],
-            p_world_joint=p_world_joint,
-            R_world_bone=self.R_world_bone[frames] if R_world_bone is None else R_world_bone,
-            provenance=self.provenance[frames],
-            valid=self.valid[frames],
-            orientation_observed=self.orientation_observed[frames],
-            direction_observed=self.direction_observed[frames],
-            sigma_rad=sigma_rad if R_world_bone is None else np.full_like(sigma_rad, np.nan),
-        )
+        own = self.cut(frames) | {"p_world_joint": p_world_joint}
+        if R_world_bone is not None:
+            own |= {"R_world_bone": R_world_bone, "sigma_rad": np.full_like(own["sigma_rad"], np.nan)}
+        return replace(self, **own)
 
     @property
     def position_observed(self) -> Mask:
         """Mask (T, J) of observed positions; without any provenance, `valid`."""
         given = bool(self.provenance.any())
         return np.asarray(self.valid & ((self.provenance >= Provenance.IMU) | (not given)))
-
-    @property
-    def rate_hz(self) -> float:
-        """Frame rate, Hz, from the median step; 60 for a single frame."""
-        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0

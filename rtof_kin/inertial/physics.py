@@ -167,9 +167,9 @@ class _Case:
     def __init__(self, stream: SensorStream, declared: Declaration):
         self._declared = declared
         every = max(1, len(stream) // _SAMPLES)
-        self._thinned = _part(stream, slice(None, None, every))
+        self._thinned = stream[::every]
         self._rest = laws.at_rest(stream)[::every]
-        self._start = replace(_part(stream, slice(_STEPS)), f_sensor=None)
+        self._start = replace(stream[:_STEPS], f_sensor=None)
         self._shift = laws.delay(stream)
         self._per_metre = laws.turning_acceleration(stream)
         self._turning = cache(self._turned)
@@ -186,11 +186,6 @@ class _Case:
     def _turned(self, *values: str) -> float:
         other = self._declared.changed(**dict(zip(_OF_TURNING, values, strict=True)))
         return _excess(laws.gyroscope(_redeclared(self._start, self._declared, other), self._shift))
-
-
-def _part(stream: SensorStream, samples: slice) -> SensorStream:
-    parts = {name: getattr(stream, name) for name in (*stream.holds, "times", "quaternion_norm")}
-    return replace(stream, **{k: v[samples] for k, v in parts.items() if v is not None})
 
 
 def _excess(check: Check) -> float:
