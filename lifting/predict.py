@@ -17,7 +17,7 @@ from lifting.windows import SIGMA_TURN, Estimate, decode, encode, orthonormal, r
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import checked_times, readonly
+from rtof_kin.core.checks import checked_times, freeze, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
 from rtof_kin.core.over_time import OverTime
 from rtof_kin.core.resources import DEFAULT_LIFTER, lifter_path
@@ -52,9 +52,7 @@ class LiftedPoses(OverTime):
         set_(self, "times", checked_times("lifted times", self.times))
         T, J = len(self.times), len(self.names)
         set_(self, "seen", readonly("lifted seen", self.seen, (T,), np.bool_))
-        shapes = {"p_world_joint": (T, J, 3), "sigma_m": (T, J, 2), "R_world_bone": (T, J, 3, 3)}
-        for name, shape in {**shapes, "sigma_rad": (T, J)}.items():
-            set_(self, name, readonly(f"lifted {name}", getattr(self, name), shape))
+        freeze(self, "lifted", p_world_joint=(T, J, 3), sigma_m=(T, J, 2), R_world_bone=(T, J, 3, 3), sigma_rad=(T, J))
 
 
 class Lifter:

@@ -87,7 +87,10 @@ class Excerpt:
             (i, first) for i, own in enumerate(data) for first in range(0, len(own.start) - frames + 1, frames)
         ] or [(0, 0)]
         count = max(int(min(float(len(whole)), most_seconds * data[0].rate_hz / frames)), 1)
-        motion = np.array([liveliness(data[i], first) for i, first in whole])
+        motion = np.empty(len(whole))  # accelerations of the sensors times the share of landmarks seen
+        for k, (i, first) in enumerate(whole):
+            shown = np.mean(data[i].confidence[first : first + frames] > 0)
+            motion[k] = np.std(data[i].a_world[first : first + frames], axis=0).sum() * shown
         best = [part[np.argmax(motion[part])] for part in np.array_split(np.arange(len(whole)), count)]
         return cls(tuple(slices[i] for i in alike), tuple(data), tuple(whole[k] for k in best))
 
@@ -161,12 +164,6 @@ def _observed(part: Slice, frames: int, settings: JointSpaceSettings) -> Observa
         part.bone_imus,
         places=() if part.bone_imus is None else part.bone_imus.joints,
     )
-
-
-def liveliness(data: Observations, first: int) -> float:
-    """Return how much the sensors of a fragment are accelerated, times the share of landmarks seen."""
-    own = slice(first, first + data.frames)
-    return float(np.std(data.a_world[own], axis=0).sum() * np.mean(data.confidence[own] > 0))
 
 
 _INNER = 8  # Iterations of a fragment's states after the first round

@@ -61,10 +61,8 @@ def rates_of_orientation(stream: SensorStream) -> tuple[Array, Array]:
         raise InvalidInputError(f"sensor {stream.name} has no orientation to differentiate")
     steps = np.diff(times)
     step_R = np.swapaxes(R[:-1], -1, -2) @ R[1:]
-    known = np.isfinite(step_R).all(axis=(-2, -1)) & (steps < 1.5 / stream.rate_hz)
-    w = np.full((len(steps), 3), np.nan)
-    w[known] = so3.log(step_R[known]) / steps[known, None]
-    return times[:-1] + steps / 2, w
+    step_R[steps >= 1.5 / stream.rate_hz] = np.nan
+    return times[:-1] + steps / 2, so3.known_log(step_R) / steps[:, None]
 
 
 def delay(stream: SensorStream) -> float:

@@ -9,9 +9,9 @@ is turned about the vertical is measured against the image (`rtof_kin.reconstruc
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 from typing import Final
 
@@ -196,10 +196,11 @@ class _Setup:
     levers: dict[str, Array]  # segment -> lever arm (3,), m, of each sensor
     R_pose: Array  # (J, 3, 3) R_world_bone, facing x
     calibration: ImuCalibration | None
-    index: dict[str, int] = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "index", {name: j for j, name in enumerate(self.skeleton.names)})
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Index of each segment."""
+        return {name: j for j, name in enumerate(self.skeleton.names)}
 
     def possible_faults(self) -> Iterator[Fault]:
         """Generate all faults."""

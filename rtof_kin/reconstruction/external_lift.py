@@ -38,7 +38,6 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.world_axes import METRES, UP
@@ -139,7 +138,10 @@ def external(
     positions = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p[:, 0], turned)
     sigma_own = np.where(np.isfinite(own.sigma_m), own.sigma_m, JOINT)  # (T, J, 2) across and along the ray, m
     known = _known(shown, skeleton)
-    difference = _by_ray(positions - p, p, video.camera)
+    ray, off = so3.unit(p - video.camera.center_world), positions - p
+    along = np.sum(off * ray, axis=-1)
+    across = np.linalg.norm(off - along[..., None] * ray, axis=-1) / np.sqrt(2)
+    difference = np.stack([across, along], axis=-1)  # (T, J, 2) per axis across and along the ray, m
     ratio = float(np.sqrt(np.mean((difference / sigma_own)[known] ** 2))) if known.any() else np.nan
     least = np.maximum(np.maximum(LEAST, usual), spread_of_joints(joints, spread, len(skeleton.names)))
     worse = np.zeros(len(skeleton.names)) if bone_imus is None else _by_sensors(R, turned, bone_imus, skeleton)
@@ -437,14 +439,6 @@ def _between(own: Array, other: Array) -> Array:
     moment = np.einsum("tki,tkj->tij", so3.unit(other[known]), so3.unit(own[known]))
     out[known] = so3.nearest_rotation(moment)
     return out
-
-
-def _by_ray(vectors: Array, p: Array, camera: Camera) -> Array:
-    """Return lengths (T, J, 2), per axis, of vectors (T, J, 3) across and along the rays to points (T, J, 3)."""
-    ray = so3.unit(p - camera.center_world)
-    along = np.sum(vectors * ray, axis=-1)
-    across = np.linalg.norm(vectors - along[..., None] * ray, axis=-1) / np.sqrt(2)
-    return np.stack([across, along], axis=-1)
 
 
 def _image_ratio(other: Array, own: Array, video: KeypointSequence) -> Array:

@@ -125,7 +125,10 @@ def beside_sensors(
         turned = lifts.turned_to(alone.R_world_bone, p, shown, skeleton)
         R = _bridged(clock, alone.R_world_bone, turned, whole, sensed)
         turn, size = _turn(shown, p, bones, alone.rate_hz), _size(shown, p, bones)
-        R_world_file, scale = turn @ R_world_file, _in_unit(scale * size)
+        R_world_file, scale = turn @ R_world_file, scale * size
+        unit = min(METRES.values(), key=lambda m: abs(np.log(scale / m)))
+        if abs(np.log(scale / unit)) < _METRIC:  # bones are known to some per cent, the cameras' distances better
+            scale = unit
         if step == 1:  # with their own sides
             again = _common_clock(clock, shown, clock, p, bones)
             delay, found = delay + again.delay, found._replace(alike=again.alike)
@@ -232,12 +235,6 @@ def _size(shown: Array, p: Array, bones: Array) -> float:
     own = _along(p, bones)
     share = np.sum(_along(shown, bones) * own, axis=-1) / np.sum(own**2, axis=-1)
     return 1 / max(float(np.nanmedian(share)), 0.1) if np.isfinite(share).any() else 1.0
-
-
-def _in_unit(scale: float) -> float:
-    """Return that of a unit where it is near: bones are known to some per cent, the cameras' distances better."""
-    unit = min(METRES.values(), key=lambda m: abs(np.log(scale / m)))
-    return unit if abs(np.log(scale / unit)) < _METRIC else scale
 
 
 def _errors(shown: Array, p: Array, bones: Array) -> tuple[Array, float]:

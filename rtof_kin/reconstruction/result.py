@@ -104,11 +104,11 @@ def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
         "default": type(settings)(),
         "as printed": CartesianSettings.paper(),
     }
-    return next((name for name, other in usual.items() if _energy(other) == _energy(settings)), "own")
-
-
-def _energy(settings: JointSpaceSettings | CartesianSettings) -> dict[str, Any]:
-    return {name: value for name, value in vars(settings).items() if name not in _NOT_ENERGY}
+    own, *of_usual = (
+        {name: value for name, value in vars(one).items() if name not in _NOT_ENERGY}
+        for one in (settings, *usual.values())
+    )
+    return next((name for name, other in zip(usual, of_usual, strict=True) if other == own), "own")
 
 
 def measurements_of(result: Reconstruction) -> Measurements:

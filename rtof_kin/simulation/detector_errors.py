@@ -114,6 +114,8 @@ def _table() -> DetectorErrorTable:
     )
     limb = [_limb(group[g], bool(side)) for g, side in zip(kind, left, strict=True)]
     coloured, rows = data["coloured"], [data["group"][group[g]] for g in kind]
+    seen = [_covariance(coloured[view], len(points)) for view in VIEWS[:3]]  # the right mirrors the left
+    seen.append(Covariance(seen[-1].factor[mirror] * _MIRROR_IMAGE[:, None], seen[-1].rest[mirror]))
 
     def columns(section: str) -> dict[str, Array]:
         return {name: np.array([float(row[section][name]) for row in rows]) for name in rows[0][section]}
@@ -130,7 +132,7 @@ def _table() -> DetectorErrorTable:
         amplitude=columns("amplitude"),
         visibility=columns("visibility"),
         constant=_covariance(data["constant"], len(points)),
-        coloured=_by_view(coloured, mirror),
+        coloured=Covariance(np.stack([c.factor for c in seen]), np.stack([c.rest for c in seen])),
         time_constants=np.array(coloured["time_constants"], dtype=float),
         smoothing=float(coloured["smoothing"]),
         numbers={name: data[name] for name in _NUMBERS},
@@ -174,13 +176,6 @@ def _places(
 def _covariance(section: Mapping[str, Any], K: int) -> Covariance:
     factor = np.array(section["factor_mm"], dtype=float).reshape(K, 2, -1) / 1e3
     return Covariance(factor, np.array(section["rest_mm"], dtype=float).reshape(K, 2) / 1e3)
-
-
-def _by_view(section: Mapping[str, Any], mirror: Index) -> Covariance:
-    """Return the covariances of all `VIEWS`; the right is the mirror image of the left."""
-    seen = [_covariance(section[view], len(mirror)) for view in VIEWS[:3]]
-    seen.append(Covariance(seen[-1].factor[mirror] * _MIRROR_IMAGE[:, None], seen[-1].rest[mirror]))
-    return Covariance(np.stack([c.factor for c in seen]), np.stack([c.rest for c in seen]))
 
 
 _NEAR, _ON_SKIN = 0.02, 0.03  #: [m] Least distance of a neighbour, and of a point on the skin from its segment's axis

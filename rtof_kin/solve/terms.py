@@ -50,9 +50,9 @@ class Term(ABC):
     constant_errors: ClassVar[tuple[str, ...]] = ()
     """Weights of observations whose errors are constant over a fragment; those of vision average out."""
 
-    @abstractmethod
     def symbols(self) -> Shapes:
         """Return what is observed in a frame; names of weights, 1 / sigma^2, begin with ``w_``, 0 where unobserved."""
+        return {}
 
     def constants(self) -> Shapes:
         """Return what is constant over a fragment."""
@@ -62,9 +62,9 @@ class Term(ABC):
     def add(self, frame: Frame) -> None:
         """Add the residuals of one frame."""
 
-    @abstractmethod
-    def rows(self, data: Observations) -> dict[str, Array]:
+    def rows(self, data: Observations) -> dict[str, Array]:  # noqa: ARG002 - for those that have any
         """Return the observations (T, ...) of a recording, by the names of `symbols`."""
+        return {}
 
     def constant(self, data: Observations) -> dict[str, Array]:  # noqa: ARG002 - for those that have any
         """Return the values of `constants`."""

@@ -255,12 +255,6 @@ def _boxes(people: Detections | KeypointSequence | None) -> Callable[[float], Ar
     return at
 
 
-def _outside(uv: Array, boxes: Array) -> Mask:
-    """Return which points (n, 2) lie in no box (P, 4)."""
-    inside = (uv[:, None] >= boxes[:, :2]) & (uv[:, None] <= boxes[:, 2:])
-    return np.asarray(~inside.all(axis=-1).any(axis=-1))
-
-
 class _Key(NamedTuple):
     """A keyframe."""
 
@@ -332,7 +326,8 @@ class _Follower:
         for _ in range(3):
             guess = key.R_first_key.T @ R_first_now
             uv_key, uv_now = self._points(key, gray, guess)
-            kept = _outside(uv_now, boxes)
+            inside = (uv_now[:, None] >= boxes[:, :2]) & (uv_now[:, None] <= boxes[:, 2:])
+            kept = ~inside.all(axis=-1).any(axis=-1)  # not on people
             pair = Pair(uv_key[kept], uv_now[kept])
             if len(pair.uv_a) < _FEWEST:
                 return None

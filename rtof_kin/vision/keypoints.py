@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
@@ -51,8 +51,11 @@ class DetectedKeypoints:
             numbers = ", ".join(str(p + 1) for p in np.unique(track.person[~track.lost]))
             parts.append(f"{track.people} people; followed person {numbers}, {track.reason}")
         for what, frames in (("ambiguous", track.ambiguous), ("lost", track.lost)):
-            if frames.any():
-                parts.append(f"{what} in {frames.sum()} of {T} frames ({_runs(frames)})")
+            if runs := signals.runs(frames):
+                first = [f"{start}-{stop - 1}" if stop - start > 1 else str(start) for start, stop in runs]
+                parts.append(
+                    f"{what} in {frames.sum()} of {T} frames ({', '.join(first[:3])}{', ...' * (len(runs) > 3)})"
+                )
         return "; ".join(parts)
 
 
@@ -144,10 +147,3 @@ def _times(found: Detections, rate_hz: float | None) -> Array:
     if rate_hz is None or not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InvalidInputError("has no times; give rate_hz, the video's frames per second")
     return np.arange(len(found)) / rate_hz
-
-
-def _runs(frames: Mask) -> str:
-    """Format the first three runs of frames."""
-    runs = list(signals.runs(frames))
-    text = [f"{start}-{stop - 1}" if stop - start > 1 else str(start) for start, stop in runs[:3]]
-    return ", ".join(text) + (", ..." if len(runs) > 3 else "")

@@ -17,7 +17,7 @@ is the one under which the points are most likely to be a person's, by the distr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -196,7 +196,9 @@ class LandmarkRegression:
         names = self.landmarks(form)
         out = np.full((len(uv), len(names), 2), np.nan)
         sigma, out_confidence = np.full(out.shape[:2], np.nan), np.zeros(out.shape[:2])
-        for pattern, frames in _patterns(seen):
+        patterns, which = np.unique(seen, axis=0, return_inverse=True)
+        for k in np.flatnonzero(patterns.sum(axis=1) >= FEWEST_POINTS):
+            pattern, frames = patterns[k], np.flatnonzero(which.ravel() == k)
             out[frames], out_confidence[frames], sigma[frames] = self._frames(
                 form, names, pattern, uv[frames][:, pattern], confidence[frames][:, pattern]
             )
@@ -297,14 +299,6 @@ def _checked(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Arra
             f"highest confidence is {highest:g}, {LEAST_CONFIDENCE:g} is needed); check the detector's output"
         )
     return uv, confidence, seen
-
-
-def _patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
-    """Generate each set of detected points with its frames; sets with too few points are skipped."""
-    rows, index = np.unique(seen, axis=0, return_inverse=True)
-    for k, row in enumerate(rows):
-        if row.sum() >= FEWEST_POINTS:
-            yield row, np.flatnonzero(index.ravel() == k)
 
 
 _FRAMES = 60  # persons, spread over the recording, that are tested

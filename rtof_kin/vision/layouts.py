@@ -355,8 +355,10 @@ def _shipped_table() -> DetectorTable:
     points = tuple(side for entry in file.point for side in _sides(entry.landmark()))
     placed = (place for entry in file.point if (place := entry.place(None)) is not None)
     places = {side.name: side for place in placed for side in place.sides}
-    layouts = {one.name: one.layout(()) for one in file.layout}
-    return DetectorTable(points, places, layouts | _own_layouts(), _seen_by(data["seen_by"]))
+    layouts, skeleton = {one.name: one.layout(()) for one in file.layout}, SkeletonModel.default()
+    for name, names in zip(OWN_LAYOUTS, (skeleton.names, tuple(skeleton.landmarks)), strict=True):
+        layouts[name] = Layout(name, f"the skeleton's own {name}", names, tuple(map(own, names)))
+    return DetectorTable(points, places, layouts, _seen_by(data["seen_by"]))
 
 
 def _sides(point: Landmark) -> list[Landmark]:
@@ -367,13 +369,6 @@ def _sides(point: Landmark) -> list[Landmark]:
 
 def _mirror_image(point: Landmark, name: str) -> Landmark:
     return Landmark(name, mirrored(point.joint), point.offset * MIRROR)
-
-
-def _own_layouts() -> dict[str, Layout]:
-    """Return the shipped skeleton's joints, and all its landmarks, as layouts."""
-    skeleton = SkeletonModel.default()
-    named = dict(zip(OWN_LAYOUTS, (skeleton.names, tuple(skeleton.landmarks)), strict=True))
-    return {k: Layout(k, f"the skeleton's own {k}", n, tuple(map(own, n))) for k, n in named.items()}
 
 
 def _seen_by(of_right: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:

@@ -26,7 +26,7 @@ from rtof_kin.core.choices import Provider
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError, reading
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
-from rtof_kin.vision.model_download import ModelSet, cached_models, model_sets
+from rtof_kin.vision.model_download import cached_models, model_sets
 
 Image = NDArray[np.uint8]
 
@@ -311,7 +311,11 @@ def choose_detector(models: str | Path | None = None, provider: Provider = "cpu"
             return _given(folder, provider)
     if contained_models() is not None:
         return _mediapipe(None, provider)
-    ways = [_way(wanted) for wanted in model_sets()]
+    ways = []
+    for wanted in model_sets():
+        needed = f"{wanted.install}, then " if wanted.missing else ""
+        what = f"downloads {wanted.title}, {wanted.megabytes} MB, licence {wanted.licence}"
+        ways.append(f"{needed}add --fetch-models {wanted.name}: {what}")
     ways.append("your own .onnx or .task models: --model-dir DIR")
     ways.append("keypoints of another program: give their file instead of the video")
     listed = "\n".join(f"  {i}. {way}" for i, way in enumerate(ways, 1))
@@ -335,9 +339,3 @@ def _mediapipe(model: Path | None, provider: Provider) -> Detector:
         ways = "take such models (--fetch-models rtmpose, --model-dir DIR), or leave the provider out"
         raise InvalidInputError(f"provider {provider}: runs .onnx models, and MediaPipe's is none; {ways}")
     return MediaPipeDetector(model)
-
-
-def _way(wanted: ModelSet) -> str:
-    needed = f"{wanted.install}, then " if wanted.missing else ""
-    what = f"downloads {wanted.title}, {wanted.megabytes} MB, licence {wanted.licence}"
-    return f"{needed}add --fetch-models {wanted.name}: {what}"

@@ -311,11 +311,10 @@ def find_phone(make: str | None, model: str | None) -> Phone | None:
 @cache
 def phone_table() -> tuple[Phone, ...]:
     """Return the shipped table of phones."""
-    data = load_toml(model_path("phones.toml"))
-    return tuple(_phone(entry, data["sources"][entry["source"]]) for entry in data["phone"])
-
-
-def _phone(entry: dict[str, Any], source: dict[str, Any]) -> Phone:
-    focal = entry["focal"] if "focal" in entry else entry["focal_35mm_mm"] * _VIDEO / _FILM_WIDTH_MM
-    k1, models = float(entry.get("k1", source["k1"])), tuple(entry["models"])
-    return Phone(entry["make"], models, focal, source["sigma"], k1, source["sigma_k1"], source["title"])
+    data, phones = load_toml(model_path("phones.toml")), list[Phone]()
+    for entry in data["phone"]:
+        source, models = data["sources"][entry["source"]], tuple(entry["models"])
+        focal = entry["focal"] if "focal" in entry else entry["focal_35mm_mm"] * _VIDEO / _FILM_WIDTH_MM
+        lens = focal, source["sigma"], float(entry.get("k1", source["k1"])), source["sigma_k1"]
+        phones.append(Phone(entry["make"], models, *lens, source["title"]))
+    return tuple(phones)

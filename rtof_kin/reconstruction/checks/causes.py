@@ -66,7 +66,10 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     if seconds < _LEAST_SECONDS or np.sum(known) < 2:
         return Check.unknown(TILT, "sensors", "deg", "less than two sensors over 2 s of the video")
     mean = np.nanmean(native.a_world[inside][:, known], axis=0)
-    ends = [_velocity(poses[part]) for part in (slice(None, n), slice(-n, None))]
+    ends = []  # mean velocities (J, 3), m/s, by regression
+    for part in (slice(None, n), slice(-n, None)):
+        t = poses.times[part] - poses.times[part].mean()
+        ends.append(np.einsum("t,tji->ji", t, poses.p_world_joint[part]) / np.sum(t**2))
     j = [poses.names.index(joint) for joint, own in zip(native.joints, known, strict=True) if own]
     every = mean - (ends[1] - ends[0])[j] / seconds
     x, y, _ = shared = np.median(every, axis=0)
@@ -79,12 +82,6 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     )
     cause = f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity"
     return Check(TILT, "sensors", tilt, _TILT_DEG + _TILT_DEG_S / seconds, "deg", advice, cause=cause)
-
-
-def _velocity(poses: PoseSequence) -> Array:
-    """Mean velocity (J, 3), m/s, by regression."""
-    t = poses.times - poses.times.mean()
-    return np.asarray(np.einsum("t,tji->ji", t, poses.p_world_joint) / np.sum(t**2))
 
 
 def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Check, ...]:

@@ -27,6 +27,11 @@ from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.solve.terms import PointData, PointTerm, check_observed, observed_rows
 
 _NORMAL_MEDIAN: Final = 1.177  #: Median norm of a normal error in two dimensions, in standard deviations of an axis
+_STATUS: Final = {
+    "Solve_Succeeded": SolverStatus.CONVERGED,
+    "Solved_To_Acceptable_Level": SolverStatus.ACCEPTABLE,
+    "Maximum_Iterations_Exceeded": SolverStatus.ITERATION_LIMIT,
+}
 
 
 class CartesianSolver:
@@ -133,7 +138,7 @@ class CartesianSolver:
         with BUILDING:
             x = np.asarray(problem.solver(x0=x0, p=p)["x"]).ravel()
             stats = problem.solver.stats()
-        seconds, status = perf_counter() - began, _status(stats["return_status"])
+        seconds, status = perf_counter() - began, _STATUS.get(stats["return_status"], SolverStatus.FAILED)
         if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
             status, x = SolverStatus.FAILED, x0
         return x, FragmentReport(
@@ -247,11 +252,3 @@ def _mean(weight: Array, components: int) -> Array:
     """Weights divided by the number of weighted residuals, so that the term is their mean."""
     count = components * np.count_nonzero(weight)
     return weight / count if count else weight
-
-
-def _status(text: str) -> SolverStatus:
-    return {
-        "Solve_Succeeded": SolverStatus.CONVERGED,
-        "Solved_To_Acceptable_Level": SolverStatus.ACCEPTABLE,
-        "Maximum_Iterations_Exceeded": SolverStatus.ITERATION_LIMIT,
-    }.get(text, SolverStatus.FAILED)

@@ -350,16 +350,12 @@ class Prior(Term):
 
 @dataclass(frozen=True)
 class Acceleration(Term):
-    """Acceleration of the sensors; it couples three frames."""
+    """Acceleration of the sensors; it couples three frames, and is bound apart (`FragmentData.a_world`)."""
 
     sensors: tuple[int, ...]  #: Segments that have a place for a sensor
     robust: float  #: [sigma] Threshold of the pseudo-Huber loss
     name: str = "acceleration"
     unit: ClassVar[str] = "m/s^2"
-
-    def symbols(self) -> Shapes:
-        """Return nothing: observations of paths are bound apart (`FragmentData.a_world`)."""
-        return {}
 
     def constants(self) -> Shapes:
         """Return the sensors' lever arms."""
@@ -369,10 +365,6 @@ class Acceleration(Term):
         """Add the path of each sensor."""
         for s, j in enumerate(self.sensors):
             frame.path(self, j, frame.p[j] + frame.R[j] @ frame.C["levers"][:, s], 2, self.robust)
-
-    def rows(self, data: Observations) -> dict[str, Array]:  # noqa: ARG002
-        """Return nothing; see `measured`."""
-        return {}
 
     def measured(self, data: Observations) -> tuple[Array, Array]:
         """Return accelerations (T, S, 3) and their weights (T, S)."""
