@@ -77,21 +77,9 @@ def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFA
     return replace(stream, R_inertial_sensor=R, quaternion_norm=None, notes=(*stream.notes, *notes))
 
 
-def log_with_orientation(
-    log: SensorLog, names: Sequence[str] | None = None, settings: OrientationSettings = _DEFAULT
-) -> SensorLog:
-    """Estimate the orientation of sensors of a log by VQF.
-
-    Args:
-        names: of those to estimate; None: of those without orientation.
-
-    Raises:
-        UnknownNameError: unknown sensor. InvalidInputError: as in `with_orientation`.
-    """
-    if names is None:
-        names = [stream.name for stream in log.streams if stream.R_inertial_sensor is None]
-    log.select(names)
-    streams = [with_orientation(s, settings) if s.name in names else s for s in log.streams]
+def log_with_orientation(log: SensorLog, settings: OrientationSettings = _DEFAULT) -> SensorLog:
+    """Estimate the orientation of the sensors of a log that have none by VQF; errors as `with_orientation`."""
+    streams = [with_orientation(s, settings) if s.R_inertial_sensor is None else s for s in log.streams]
     return replace(log, streams=tuple(streams))
 
 

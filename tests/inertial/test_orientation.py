@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -142,7 +142,7 @@ def test_short_pieces_stay_missing_and_missing_channels_are_refused() -> None:
         with_orientation(stream, OrientationSettings(rate_hz=1e8))
 
 
-def test_a_log_gets_orientation_where_missing_or_named() -> None:
+def test_a_log_gets_orientation_where_missing() -> None:
     stream, true = moving(5)
     other = replace(stream, name="foot", R_inertial_sensor=true)
     log = SensorLog(Path("walk"), "made here", (stream, other), Declaration())
@@ -150,17 +150,12 @@ def test_a_log_gets_orientation_where_missing_or_named() -> None:
     assert got.streams[0].R_inertial_sensor is not None
     assert got.streams[1] is other
     assert [note.split(":")[0] for note in got.notes] == ["shank"]
-    named = log_with_orientation(log, ["foot"])
-    assert named.streams[0] is stream
-    assert named.streams[1].R_inertial_sensor is not true
-    with pytest.raises(UnknownNameError, match="sensor 'hand'"):
-        log_with_orientation(log, ["hand"])
 
 
 def test_inclination_agrees_with_the_manufacturers() -> None:
     log = read_sensor_log(REAL / "hipose_mtw17")
-    got = log_with_orientation(log, log.names)
-    for theirs, ours in zip(log.streams, got.streams, strict=True):
+    for theirs in log.streams:
+        ours = with_orientation(theirs)
         assert theirs.R_inertial_sensor is not None
         assert ours.R_inertial_sensor is not None
         error = inclination_deg(ours.R_inertial_sensor, theirs.R_inertial_sensor)
