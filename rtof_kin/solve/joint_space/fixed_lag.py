@@ -239,29 +239,24 @@ class _RunningErrors:
     """Size of the landmarks' errors and their autocorrelation, averaged over time; as in `Annealing`."""
 
     def __init__(self, data: Observations) -> None:
-        s, self._constant_errors = data.settings, data.problem.energy.constant_errors
-        self._given, self._bounds = s.sigma_reprojection, s.sigma_reprojection_range
-        self._sizes, self._robust, self._largest = (
-            data.points.sizes,
-            s.robust_reprojection,
-            s.largest_correlation_factor,
-        )
+        self._settings, self._sizes = data.settings, data.points.sizes
+        self._constant_errors = data.problem.energy.constant_errors
         self._size, self._factor = 0.0, 1.0
         self._estimated = False
 
     @property
     def sigma(self) -> float:
         """Standard deviation per axis, px, with the factor for autocorrelation."""
-        if self._given is not None:
-            return self._given
-        if not self._estimated:
-            return self._bounds[1]
-        return float(np.clip(self._size * self._factor, *self._bounds))
+        given, bounds = self._settings.sigma_reprojection, self._settings.sigma_reprojection_range
+        if given is not None:
+            return given
+        return float(np.clip(self._size * self._factor, *bounds)) if self._estimated else bounds[1]
 
     def estimate(self, residuals: Array, seen: Mask, share: float) -> None:
         """Average with residuals (N, L, 2), px, where seen (N, L)."""
-        errors = CameraErrors(seen, self._sizes, self._bounds[1], self._largest)
-        if self._given is not None or not errors.enough:
+        s = self._settings
+        errors = CameraErrors(seen, self._sizes, s.sigma_reprojection_range[1], s.largest_correlation_factor)
+        if s.sigma_reprojection is not None or not errors.enough:
             return
         size, factor = errors.estimated(residuals)
         share = share if self._estimated else 1.0
@@ -273,8 +268,8 @@ class _RunningErrors:
         """Return rows with the weights of landmarks, and of what is constant beside them."""
         out = dict(rows)
         out["w_visual"] = rows["w_visual"] / self.sigma**2
-        out["knee_visual"] = np.full_like(rows["knee_visual"], self._robust / self._factor)
-        share = self._factor / self._largest if self._estimated else 1.0
+        out["knee_visual"] = np.full_like(rows["knee_visual"], self._settings.robust_reprojection / self._factor)
+        share = self._factor / self._settings.largest_correlation_factor if self._estimated else 1.0
         for name in self._constant_errors:
             out[name] = share * rows[name]
         return out
