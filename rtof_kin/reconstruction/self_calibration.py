@@ -56,7 +56,7 @@ def calibrate_recording(
     """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
 
     Args:
-        Default: that of the recording.
+        skeleton: default: that of the recording.
         priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
         lifter, settings, progress: as for `reconstruct`.
 

@@ -136,9 +136,7 @@ def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
 def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive; all errors of reading it become `FileFormatError`."""
     problem = "damaged, or no NPZ archive ({}); write it again with numpy.savez"
-    with reading(
-        path, problem, zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
-    ):
+    with reading(path, problem, *_DAMAGED):
         check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
             yield archive

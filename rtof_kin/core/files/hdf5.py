@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.arrays import check_ratio, read_npz_as_saved
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
@@ -304,16 +304,10 @@ class ArrayFile:
                 raise FileFormatError(self.path, f"{name}: neither numbers nor text")
             self.attributes[name] = found
 
-    @contextmanager
-    def _reading(self, what: str = "") -> Iterator[None]:
+    def _reading(self, what: str = "") -> AbstractContextManager[None]:
         """Turn errors of reading into `FileFormatError`."""
-        try:
-            yield
-        except _DAMAGED as error:
-            if isinstance(error, FileFormatError):
-                raise
-            problem = f"{what}: damaged" if what else "damaged, or no HDF5 file"
-            raise FileFormatError(self.path, f"{problem} ({str(error)[:200]}); reconstruct again") from error
+        problem = f"{what}: damaged" if what else "damaged, or no HDF5 file"
+        return reading(self.path, f"{problem} ({{}}); reconstruct again", *_DAMAGED)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
