@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-import threading
 from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
@@ -294,14 +293,12 @@ class Frame:
         return "" if known is None else TEXTS.of_height.format(height=100 * known.value)
 
 
-@cache
-def _end_with_parent() -> None:
-    threading.Thread(target=end_with_parent, daemon=True).start()
+_ends_with_parent: Final = cache(end_with_parent)  # a process of the pool makes several things
 
 
 def _called(code: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
     """Return what a function returns, and what went wrong; in a process of its own."""
-    _end_with_parent()
+    _ends_with_parent()
     speak(code)
     try:
         with without_warnings("rtof_kin"):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
-import signal
 import threading
 import time
 from contextlib import ExitStack, closing, suppress
@@ -222,8 +221,7 @@ def _recover(store: Store) -> None:
 
 def _record(place: str, wish: Wish, connection: Connection, language: str) -> None:
     """Record until something comes from the other end; sends what changes in the `Session`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent handles Ctrl-C
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    end_with_parent()
     speak(language)
     folder = Path(place)
     try:

@@ -7,7 +7,6 @@ steps that are done.
 from __future__ import annotations
 
 import multiprocessing
-import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -190,9 +189,7 @@ class Work:
 
 def _reconstruct(place: str, take: Take, sender: Connection) -> None:
     """Reconstruct a recording; sends (stage, steps done, in all), at last what changes in its `Take`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent handles Ctrl-C
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    end_with_parent()
     folder, sent = Path(place), ("", 0.0)
 
     def progress(stage: str, done: int, total: int) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import webbrowser
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from rtof_kin.cli.options import Browser, Fields, File, Fps, Overwrite, Start, Stop, command
-from rtof_kin.cli.terminal import STYLES, line, progress, remark, say
+from rtof_kin.cli.terminal import STYLES, ended_by_signals, line, progress, remark, say
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.view.overlay_settings import OverlaySettings
 
@@ -60,7 +58,7 @@ def view(
         raise InvalidInputError("--html: the file has no video; leave out --video")
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.view.static_page import write_static_page
-    from rtof_kin.view.viewer import MotionViewer, local_server, motion_files
+    from rtof_kin.view.viewer import MotionViewer, address, local_server, motion_files
 
     with ExitStack() as stack:
         if html is not None:
@@ -69,10 +67,11 @@ def view(
         _print_files(files, motion, beside)
         if html is None:
             server = stack.enter_context(local_server(port, "rtof_kin view"))
-            end = stack.enter_context(_until_interrupted())
-            viewer = stack.enter_context(MotionViewer(server, files, video or []))
-            _open(server, browser)
-            viewer.run(end)
+            with ended_by_signals(), suppress(KeyboardInterrupt), MotionViewer(server, files, video or []) as viewer:
+                line("address", f"{address(server)} (this machine only, to who has this address; Ctrl-C ends)")
+                if browser:
+                    webbrowser.open(address(server, once=True))
+                viewer.run(threading.Event())
             return
         server, update = stack.enter_context(local_server()), stack.enter_context(progress())
         page = write_static_page(
@@ -108,30 +107,6 @@ def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
     line("verdict", files.verdict.line, STYLES.get(files.verdict.grade, ""))
     for note in files.notes:
         line("missing", note)
-
-
-def _open(server: Any, browser: bool) -> None:
-    """Print the address and open the browser."""
-    from rtof_kin.view.viewer import address
-
-    line("address", f"{address(server)} (this machine only, to who has this address; Ctrl-C ends)")
-    if browser:
-        webbrowser.open(address(server, once=True))
-
-
-@contextmanager
-def _until_interrupted() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C, or the end of the process, sets."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    before = {kind: signal.signal(kind, lambda *_: stop.set()) for kind in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
 
 
 @command

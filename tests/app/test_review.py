@@ -140,7 +140,6 @@ def solved(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: Any) -> dict
     """Reconstruct a recording as the queue does, but for the process, and return all numbers of the result."""
     sent: list[Any] = []
     monkeypatch.setattr(module, "end_with_parent", lambda: None)
-    monkeypatch.setattr(module.signal, "signal", lambda *_: None)
     monkeypatch.setattr(module, "run", partial(run, mode="lift"))
     monkeypatch.setattr(module, "ReconstructionTask", partial(ReconstructionTask, figures=False))
     sender: Any = SimpleNamespace(send=sent.append)

@@ -88,7 +88,6 @@ def outcome(store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch, **value
     """What the process would send at last, done in this one."""
     sent: list[Any] = []
     monkeypatch.setattr(module, "end_with_parent", lambda: None)
-    monkeypatch.setattr(module.signal, "signal", lambda *_: None)
     sender: Any = SimpleNamespace(send=sent.append)
     module._reconstruct(str(folder), store.change(folder, look=True, **values), sender)
     assert all(isinstance(one, tuple) for one in sent[:-1])

@@ -159,9 +159,7 @@ def _one_thread() -> Iterator[None]:
 
 def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
     """Do the jobs that come until the connection is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent handles Ctrl-C
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    end_with_parent()
     while True:
         try:
             key, argument = connection.recv()
@@ -177,8 +175,14 @@ def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when the one that started it is no more."""
+    """Leave Ctrl-C to the process that started this one, and end this one when that is no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     assert parent is not None
-    wait([parent.sentinel])
-    os._exit(1)
+
+    def end() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
