@@ -219,10 +219,13 @@ class OnlineEstimator:
         return [estimate for estimate in estimates if estimate is not None]
 
     def _step(self, solve: bool) -> None:
-        """Append the next frame; lift and solve it if asked to."""
+        """Apply what the calibration found, and append the next frame; lift and solve it if asked to."""
         window = self._window
         if self._refinement is not None:
-            self._correct(self._refinement)
+            assert self._sensors is not None
+            found = self._refinement.step(float(self._time(window.first)) + self._delay_s)
+            self._delay_s = self.settings.video_delay_s + found.delay
+            self._sensors.correct(found.heading, found.R_mounting)
         window.append(window.smoother.predicted())
         times = self._times
         if self._sensors is not None:
@@ -232,20 +235,10 @@ class OnlineEstimator:
         self._see(solve)
         if solve:
             window.stand(times)
-            self._iterate()
-
-    def _correct(self, refinement: Refinement) -> None:
-        """Go on with the calibration and apply what it found."""
-        assert self._sensors is not None
-        found = refinement.step(float(self._time(self._window.first)) + self._delay_s)
-        self._delay_s = self.settings.video_delay_s + found.delay
-        self._sensors.correct(found.heading, found.R_mounting)
-
-    def _iterate(self) -> None:
-        try:
-            self._window.smoother.iterate(1)
-        except SolverError:
-            self._restart(self._window.smoother.x[-1])
+            try:
+                window.smoother.iterate(1)
+            except SolverError:
+                self._restart(window.smoother.x[-1])
 
     def _restart(self, x: Array) -> None:
         smoother = self._window.smoother

@@ -17,7 +17,7 @@ from rtof_kin.core.errors import CalibrationError, SourceError, UnknownNameError
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map, same_sensor
 from rtof_kin.inertial.segment_names import known_segment
-from rtof_kin.live.lsl import load_pylsl
+from rtof_kin.live.lsl import LslFrameSource, LslImuSource, load_pylsl
 from rtof_kin.live.replay import RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, OnlineEstimate, Sink, Source
 from rtof_kin.live.video import VideoSource, is_webcam
@@ -92,8 +92,6 @@ def open_sources(
     renamed = str if names is None else names_of_map(names, setup)
     now: Callable[[], float] = time.monotonic
     if any(map(_is_lsl, words)):
-        from rtof_kin.live.lsl import load_pylsl
-
         now = load_pylsl().local_clock
     recording = cache(Recording.load)
     how: dict[str, Any] = {"replay": replay, "clock": clock}
@@ -101,8 +99,6 @@ def open_sources(
     for word in sensors:
         path = Path(word)
         if _is_lsl(word):
-            from rtof_kin.live.lsl import LslImuSource
-
             sources.append(LslImuSource(_stream(word), renamed=renamed))
         elif not path.exists():
             raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
@@ -174,8 +170,6 @@ def _camera(
     camera, path = setup.keypoints.camera, Path(word)
     size = camera.width_px, camera.height_px
     if _is_lsl(word):
-        from rtof_kin.live.lsl import LslFrameSource
-
         return LslFrameSource(_stream(word))
     if not _is_live(word) and path.is_dir():
         if not (path / INDEX).is_file():

@@ -95,20 +95,20 @@ class Feed:
 
     def _started(self, arrival: float) -> bool:
         """Begin or go on to start the source; return whether it runs."""
-        if self._starting is not None:
-            if self._starting.is_alive():
+        if self._starting is None:
+            if arrival < self._next:
                 return False
-            self._starting = None
-            return self._outcome(arrival)
-        if arrival < self._next:
-            return False
-        self._problem = None
-        if self._in_background:
+            self._problem = None
             self._starting = Thread(target=self._start, name=f"start {self.name}", daemon=True)
             self._starting.start()
+            if not self._in_background:
+                self._starting.join()
+        if self._starting.is_alive():
             return False
-        self._start()
-        return self._outcome(arrival)
+        self._starting, self._running = None, self._problem is None
+        if self._problem is not None:
+            self._fail(self._problem, arrival)
+        return self._running
 
     def _start(self) -> None:
         try:
@@ -117,13 +117,6 @@ class Feed:
             self._problem = error
         if self._closed:  # meanwhile
             self.source.close()
-
-    def _outcome(self, arrival: float) -> bool:
-        if self._problem is not None:
-            self._fail(self._problem, arrival)
-        else:
-            self._running = True
-        return self._running
 
     def _fail(self, error: BaseException, arrival: float) -> None:
         self._running = False
@@ -198,7 +191,7 @@ class LiveSession:
         """See `Monitor.status`."""
         self._patience, self._video_delay = patience_s, video_delay_s
         self._first = FirstSeconds()
-        self._checker = ThreadPoolExecutor(1, "checks") if in_background else None
+        self._checker, self._in_background = ThreadPoolExecutor(1, "checks"), in_background
         self._checking: Future[list[str]] | None = None
         self._began = math.nan
         self._heard: set[str] = set()  # sources
@@ -310,21 +303,13 @@ class LiveSession:
         return any(name != VIDEO for name in self._newest)
 
     def _check_first(self, arrival: float) -> None:
-        """Check the first seconds of sensors, in a thread where there is one."""
-        if self._checking is not None:
-            if not self._checking.done():
-                return
-            sentences, self._checking = self._checking.result(), None
-        else:
-            due = self._first.due()
-            if due is None:
-                return
-            if self._checker is not None:
-                self._checking = self._checker.submit(due)
-                return
-            sentences = due()
-        for sentence in sentences:
-            self._tell(sentence, arrival)
+        """Check the first seconds of sensors in a thread."""
+        if self._checking is None and (due := self._first.due()) is not None:
+            self._checking = self._checker.submit(due)
+        if self._checking is not None and (self._checking.done() or not self._in_background):
+            checked, self._checking = self._checking, None
+            for sentence in checked.result():
+                self._tell(sentence, arrival)
 
     def _now(self, arrival: float) -> float:
         """Return the present: the newest time of the sensors, or of the video where there are none.
@@ -459,8 +444,7 @@ class LiveSession:
                 self._frame_s.extend([float(np.median(self._frame_s))] * len(rest))
         for feed in self._feeds:
             feed.close()
-        if self._checker is not None:
-            self._checker.shutdown(wait=False, cancel_futures=True)
+        self._checker.shutdown(wait=False, cancel_futures=True)
         folder = None
         if self._recorder is not None:
             try:

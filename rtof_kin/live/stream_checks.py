@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -17,8 +16,8 @@ import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import Check
-from rtof_kin.core.errors import RtofError
+from rtof_kin.core.checks import Check, some
+from rtof_kin.core.errors import RtofError, nearest
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.inertial.physics import LAWS, check_log
 from rtof_kin.live.clock_map import Arrived
@@ -87,7 +86,7 @@ def sensor_sentence(unknown: Sequence[str], seen: Sequence[str], setup: Recordin
     """Return what to say about sensors without a calibration."""
     known = setup.calibration.sensors if setup.calibration is not None else ()
     free = [name for name in known if name not in seen]
-    text = f"{_some(unknown)}: not in the calibration, so recorded but not used"
+    text = f"{some(unknown, _NAMED)}: not in the calibration, so recorded but not used"
     return f"{text}{_closest(unknown, free)}. It has {', '.join(known)}"
 
 
@@ -106,11 +105,11 @@ def landmark_sentences(landmarks: Sequence[str], setup: Recording) -> list[str]:
     unknown = unknown_landmarks(landmarks, setup)
     out = []
     if unknown:
-        out.append(f"{_some(unknown)}: no landmarks of the skeleton, so not used{_closest(unknown, known)}")
+        out.append(f"{some(unknown, _NAMED)}: no landmarks of the skeleton, so not used{_closest(unknown, known)}")
     usual = [name for name in setup.keypoints.names if name in known] if setup.keypoints is not None else []
     missing = [name for name in usual if name not in landmarks]
     if missing:
-        out.append(f"{_some(missing)}: in the setup's keypoints, but not in the camera's stream")
+        out.append(f"{some(missing, _NAMED)}: in the setup's keypoints, but not in the camera's stream")
     return out
 
 
@@ -121,14 +120,8 @@ def _of_detector(name: str) -> bool:
         return False
 
 
-def _some(names: Sequence[str]) -> str:
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
 def _closest(names: Sequence[str], known: Sequence[str]) -> str:
-    lower = {name.lower(): name for name in known}
-    near = [lower[hit] for name in names for hit in get_close_matches(name.lower(), list(lower), n=1)]
+    near = nearest(names, known)
     return f"; did you mean {', '.join(dict.fromkeys(near))}?" if near else ""
 
 

@@ -39,7 +39,7 @@ from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import ros_header, ros_transform
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.reporting.html import asset, fill, source_hash
+from rtof_kin.reporting.html import asset, source_hash
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -171,7 +171,7 @@ def _sources() -> tuple[str, str, str]:
 def live_page() -> str:
     """Return the page; it holds no data, which come over a WebSocket of the same host and port."""
     style, script, frame = _sources()
-    return fill(frame, {"style": style, "script": script})
+    return frame.replace("{{style}}", style).replace("{{script}}", script)
 
 
 def page_headers(host: str, ancestors: str = "'none'") -> dict[str, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -42,15 +42,6 @@ def render(template: str, styles: Iterable[str], scripts: Iterable[str] = (), ru
     """
     style, script = Markup("".join(map(asset, styles)) + rules), Markup("".join(map(asset, scripts)))
     return _environment().get_template(template).render(style=style, script=script, **parts)
-
-
-def fill(template: str, parts: Mapping[str, str]) -> str:
-    """Return a template with its ``{{name}}`` replaced."""
-    out = []
-    for piece in template.split("{{"):
-        name, closed, rest = piece.partition("}}")
-        out.append(parts[name] + rest if closed else piece)
-    return "".join(out)
 
 
 def asset(name: str) -> str:
