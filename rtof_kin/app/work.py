@@ -21,8 +21,7 @@ from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError, UndecidedError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.processes import end_with_parent
-from rtof_kin.reporting.page import PAGE
-from rtof_kin.reporting.review import review
+from rtof_kin.reporting.page import PAGE, review
 from rtof_kin.setup.run import MOTION, make_recordings, run
 from rtof_kin.setup.settings import ReconstructionTask
 

@@ -1,4 +1,7 @@
-"""Report of a reconstruction as one HTML page: summary, ranges, curves, gait, torques, quality, audit."""
+"""Report of a reconstruction as one HTML page: summary, ranges, curves, gait, torques, quality, audit.
+
+A second page, `review`, has the motion beside its video, on one time line with the curves, to choose ranges in.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
+from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting import certificate
 from rtof_kin.reporting.analysis import CurveBand, curve_bands, curve_note, gait_table
@@ -40,13 +44,13 @@ from rtof_kin.reporting.audit_results import (
 from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
 from rtof_kin.reporting.document import Cell, Table, badge, sentence
 from rtof_kin.reporting.html import css_string, render
-from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, player_data, shown_frames
+from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, packed, player_data, shown_frames
 from rtof_kin.reporting.provenance import CITATION, isb_items
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.reporting.summary_lines import summary_lines
 
 PAGE: Final = "report.html"
-SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js")  #: Of pages with curves and a skeleton that plays
+_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js")  # of pages with curves and a skeleton that plays
 _NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 _CONTENTS: Final = {
     "ranges": "Ranges",
@@ -129,7 +133,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
     return render(
         "report.html",
         styles=("page.css", "report.css"),
-        scripts=(*SCRIPTS, "start.js"),
+        scripts=(*_SCRIPTS, "start.js"),
         data={
             "angles": curves,
             "cycles": cycle_curves_data(analysis),
@@ -139,15 +143,12 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         rules=_FOOT.replace("FOOT", css_string(", ".join(filter(None, (named, session.date))))),
         title=f"{named}: motion report",
         origin=_origin(summary, session, made),
-        summary=[
-            (line.label, badge(line.grade) if line.grade else "", line.text)
-            for line in summary_lines(analysis, summary, overall, session)
-        ],
+        summary=_summary(analysis, summary, overall, session),
         contents=_CONTENTS,
         way=way_line(analysis.travel),
         ranges=range_tables(analysis.ranges, analysis.angles.rows, whole),
         whole_curves=f"Curve, in parentheses: {curve_note()}." if whole else "",
-        bands=bands_note(analysis),
+        bands=_bands_note(analysis),
         sampling=sampling,
         gait=gait_table(analysis.gait) if analysis.gait.is_gait else None,
         gait_notes=analysis.gait.notes if analysis.gait.is_gait else (),
@@ -169,10 +170,17 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
     )
 
 
-def bands_note(analysis: MotionAnalysis) -> str:
-    """Return the sentence on the bands of the curves."""
+def _bands_note(analysis: MotionAnalysis) -> str:
     without = f"There are no bands: {NO_BANDS}."
     return without if analysis.angles.sigma is None else "Bands are 95 % intervals of the motion's confidence."
+
+
+def _summary(
+    analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
+) -> list[tuple[str, str, str]]:
+    """Label, badge and text of each line of the summary."""
+    lines = summary_lines(analysis, summary, overall, session)
+    return [(line.label, badge(line.grade) if line.grade else "", line.text) for line in lines]
 
 
 def _origin(summary: Summary, session: Session, made: str) -> str:
@@ -453,3 +461,78 @@ def _checklist(topics: Mapping[str, Mapping[str, str | None]]) -> Iterator[Table
             for name, known in items.items()
         ]
         yield Table(("item", "in this recording"), rows, topic, kind="isb", row_headers=True)
+
+
+# --- the motion beside its video -----------------------------------------------------------------
+
+
+def review(folder: str | Path, video: str = "") -> str:
+    """Return the page of a reconstruction; it posts the chosen range, ``{range: [start or null, stop or null]}`` in s,
+    to the page around it.
+
+    Args:
+        folder: written by `export`. video: address of the video on the same server; '' where there is none.
+
+    Raises:
+        FileFormatError: the folder's files are missing or damaged.
+    """
+    folder = Path(folder)
+    summary = read_summary(folder / SUMMARY)
+    with MotionReader(folder) as motion:
+        analysis, shown = analyse(motion), shown_frames(motion.times)
+        player = player_data(motion, shown, summary.inputs.get("floor_height_m"))
+        image, offset = _image(folder, motion, shown)
+        start, stop = motion.times[[0, -1]]
+        mended = [(max(one.start_s, start), min(one.stop_s, stop)) for one in motion.corrections]
+        seen = motion.masks.valid[shown].any(axis=1)
+    feet = analysis.gait.events.feet.items()
+    return render(
+        "review.html",
+        styles=("page.css", "report.css", "review.css"),
+        scripts=(*_SCRIPTS, "review.js"),
+        data={
+            "angles": angle_curves(analysis, shown),
+            "player": player,
+            "image": image,
+            "offset": offset,
+            "strikes": [{"at": float(at), "side": side} for side, foot in feet for at in foot.strikes],
+            "mended": mended,
+            "gone": runs(~seen),
+            "unplayable": "This browser cannot play the video; the motion is shown without it.",
+        },
+        title=f"{summary.session.subject or summary.recording}: review",
+        summary=_summary(analysis, summary, headline(summary.results or ()), summary.session),
+        picture="Yellow: detected points." if image else "There was no camera.",
+        bands=_bands_note(analysis),
+        video=video,
+    )
+
+
+def _image(folder: Path, motion: MotionSource, shown: slice) -> tuple[dict[str, Any] | None, float]:
+    """Return joints and detected points of the frames that are shown, px of the first camera, and how much later a
+    frame is on the video's clock, s; None without a camera.
+    """
+    path, step = measurements_path(folder), shown.step or 1
+    if not path.is_file():
+        return None, 0.0
+    joints, found, view = [], [], None
+    with MeasurementsReader(path) as measured:
+        for block in motion.blocks():
+            views = measured.read(block.start, block.stop).views
+            if not views:
+                return None, 0.0
+            own = slice(-block.start % step, None, step)
+            frames = np.arange(block.stop - block.start)[own]
+            poses = block.motion.poses[block.own][own]
+            p = np.where(poses.valid[..., None], poses.p_world_joint, np.nan)
+            joints.append(views[0].project(p, frames))
+            found.append(np.where(views[0].seen[own, :, None], views[0].in_video(frames), np.nan))
+            view = view or views[0]
+    assert view is not None  # a motion has a frame
+    return {
+        "width": view.camera.width_px,
+        "height": view.camera.height_px,
+        "uv": packed(np.concatenate(joints), 1),
+        "detected": packed(np.concatenate(found), 1),
+        "landmarks": len(view.names),
+    }, float(view.video_times[0] - view.times[0])

@@ -21,8 +21,9 @@ from browser_support import needs_browser
 from follow_support import walk_at
 from report_support import folder_of
 
-from rtof_kin.app import downloads, studies
-from rtof_kin.app.archives import write_archive
+from rtof_kin.app import studies
+from rtof_kin.app import take as downloads
+from rtof_kin.app.people import write_archive
 from rtof_kin.app.store import NOTES, SUBJECT, State, Store
 from rtof_kin.app.texts import worded
 from rtof_kin.core.errors import RtofError
