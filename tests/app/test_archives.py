@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rtof_kin.app import archives
+from rtof_kin.app import people as archives
 from rtof_kin.app.people import read_archive, write_archive
 from rtof_kin.app.store import FILES, NOTES, State, Store
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
