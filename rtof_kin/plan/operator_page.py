@@ -24,6 +24,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import MovementInfo
 from rtof_kin.plan.protocol import Framing, direction, framing, sensor_places
 from rtof_kin.plan.setup import Setup
+from rtof_kin.reporting.document import sentence
 from rtof_kin.reporting.html import render
 
 INSTRUCTIONS: Final = "instructions.html"
@@ -40,11 +41,10 @@ def write_instructions(
     framed = draw_setup(setup.poses, setup.skeleton, setup.camera, setup.sensors, drawing)
     seconds = float(setup.poses.times[-1] - setup.poses.times[0])
     places = sensor_places(setup.skeleton, setup.sensors)
-    steps = [*operator_steps(movement, framed, places, repetitions, seconds), *further]
     who = f" of {setup.subject.subject}" if setup.subject is not None else ""
     title = f"Recording{who}: {movement.name.replace('_', ' ')}"
-    page = operator_page(title, movement, steps, drawing.read_text(encoding="utf-8"), doubts)
-    write_text(folder / INSTRUCTIONS, page)
+    svg, how = drawing.read_text(encoding="utf-8"), (repetitions, seconds)
+    write_text(folder / INSTRUCTIONS, operator_page(title, movement, how, framed, places, svg, doubts, further))
 
 
 def draw_setup(
@@ -182,22 +182,23 @@ def _sticks(ax: Any, points: Array, skeleton: SkeletonModel, width: float) -> No
             ax.plot(*points[[parent, j]].T, color=colour, lw=width, solid_capstyle="round", alpha=0.75, zorder=1)
 
 
-_NEVER: Final = (
-    "Do not move, zoom or turn the camera, and do not touch sensors or straps, before the recording is over.",
-    "Nobody else in the picture; no loose clothes over sensors; no mirror behind the person.",
-    "Do not switch a sensor on or off between the first still seconds and the end.",
-)
-
-
 def operator_page(
-    title: str, movement: MovementInfo, steps: Sequence[str], drawing_svg: str, doubts: Sequence[str]
+    title: str,
+    movement: MovementInfo,
+    how: tuple[int, float],
+    place: Framing,
+    sensors: dict[str, str],
+    drawing_svg: str,
+    doubts: Sequence[str] = (),
+    further: Sequence[str] = (),
 ) -> str:
     """Return the sheet as HTML in one file, without network access.
 
-    Shown first are `doubts`: what is wrong or unsure about this set-up, with its remedy; then the drawing's SVG text
-    and the steps, e.g. of `operator_steps`, in order.
+    Args:
+        how: repetitions of the movement, and how long they take, s. sensors: name -> place, maybe none.
+        doubts: what is wrong or unsure about this set-up, with its remedy; shown first.
+        further: steps after the usual ones.
     """
-    person = movement.instructions[:1].upper() + movement.instructions[1:] + "."
     drawing = base64.b64encode(drawing_svg.encode()).decode()
     return render(
         "instructions.html",
@@ -205,38 +206,12 @@ def operator_page(
         title=title,
         doubts=doubts,
         images={"setup": f"data:image/svg+xml;base64,{drawing}"},
-        steps=steps,
-        person=person,
-        never=_NEVER,
-        foot=f"The drawn movement: {movement.description} {movement.acknowledgement}",
+        place=place,
+        direction=direction(place.angle_deg),
+        sensors=sensors,
+        repetitions=how[0],
+        seconds=how[1],
+        further=further,
+        movement=movement,
+        person=sentence(movement.instructions),
     )
-
-
-def operator_steps(
-    movement: MovementInfo, place: Framing, sensors: dict[str, str], repetitions: int, seconds: float
-) -> list[str]:
-    """Return what the operator does, in order, for a movement of some seconds and maybe no sensors."""
-    steps = [
-        f"Camera on a tripod: lens {place.height:.2f} m over the floor, {place.distance:.2f} m from the "
-        f"cross in the drawing, {direction(place.angle_deg)}, {place.tilt}, its picture's horizon level.",
-        f"Lens: horizontal field of view {place.field_deg[0]:.0f}°; lock zoom, focus and exposure; switch "
-        "stabilisation off.",
-        f"Check in the picture: {place.view}.",
-    ]
-    if sensors:
-        names = "; ".join(f"{name}: {where}" for name, where in sensors.items())
-        steps += [
-            f"Strap on {len(sensors)} sensor(s), tight, on skin or tight clothes. {names}.",
-            "Switch all sensors on together, then start the video; the person stands still for 2 s, upright, knees "
-            "straight, arms hanging: the zero of the knees is found by it.",
-        ]
-    else:
-        steps.append("Start the video; the person keeps still for 2 s.")
-    count = "time" if repetitions == 1 else "times"
-    steps += [
-        f"The person does the movement {repetitions} {count} ({movement.repetition}), {seconds:.0f} s in all "
-        "if it is done as in the prediction.",
-        "The person keeps still for 2 s; then stop the video and the sensors.",
-        "Head, hands and feet must be visible from the first still second to the last.",
-    ]
-    return steps

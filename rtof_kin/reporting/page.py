@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -45,7 +45,7 @@ from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
 from rtof_kin.reporting.document import Cell, Table, badge, sentence
 from rtof_kin.reporting.html import css_string, render
 from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, packed, player_data, shown_frames
-from rtof_kin.reporting.provenance import CITATION, isb_items
+from rtof_kin.reporting.provenance import checklist
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.reporting.summary_lines import summary_lines
 
@@ -74,7 +74,6 @@ _FOOT: Final = (
     '@page { @bottom-left { content: FOOT; font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #5d6873; } }'
 )
 """Foot of every printed page: whose motion, and when it was recorded."""
-_BLANK: Final = Markup('<span class="blank">to be filled in:</span>')
 
 
 def report(
@@ -163,8 +162,7 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         careful=bool({Grade.WARN, Grade.FAIL} & {*grades.values()}),
         verdicts=_verdicts([section_verdict(section, results) for section in checked], words),
         certificate=None if summary.certificate is None else certificate.section(summary.certificate, words),
-        checklist=_checklist(isb_items(inputs, summary.mode, bands, _missing_data(motion))),
-        citation=CITATION,
+        checklist=checklist(inputs, summary.mode, bands, _missing_data(motion)),
         audit=_audit(results),
         acknowledgement=summary.acknowledgement,
     )
@@ -451,16 +449,6 @@ def _estimates(found: Any) -> Table | None:
     rows = [[str(cell) for cell in row][: len(columns)] for row in found.get("rows", [])]
     filled = [[*row, *[""] * (len(columns) - len(row))] for row in rows]
     return Table(columns, filled, kind="estimates", row_headers=bool(columns))
-
-
-def _checklist(topics: Mapping[str, Mapping[str, str | None]]) -> Iterator[Table]:
-    """Items that a study reports, a table for each topic, blank where they are unknown."""
-    for topic, items in topics.items():
-        rows = [
-            (name, _BLANK if known is None else Markup("{} {}").format(known, _BLANK) if known.endswith(":") else known)
-            for name, known in items.items()
-        ]
-        yield Table(("item", "in this recording"), rows, topic, kind="isb", row_headers=True)
 
 
 # --- the motion beside its video -----------------------------------------------------------------

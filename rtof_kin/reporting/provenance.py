@@ -1,9 +1,7 @@
 """Provenance of a reconstruction: its inputs as plain data, a part of ``summary.json``.
 
-**Checklist.** Items that a study with inertial sensors should report, filled in where they are known.
-
-They follow the recommendations of the International Society of Biomechanics (`CITATION`), but selection,
-grouping and wording are ours and have not been compared with the list of the article.
+**Checklist.** What is known of the items that a study with inertial sensors should report; the page of the report
+has the items (``checklist.html``), whose selection, grouping and wording are ours.
 """
 
 from __future__ import annotations
@@ -122,12 +120,6 @@ def _rate(times: Array) -> float | None:
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else None
 
 
-Items = dict[str, str | None]
-CITATION: Final = (
-    "A. Cereatti et al.: ISB recommendations on the definition, estimation, and reporting of joint "
-    "kinematics in human motion analysis applications using wearable inertial measurement technology. "
-    "Journal of Biomechanics 173, 112225, 2024, doi 10.1016/j.jbiomech.2024.112225"
-)
 _METHODS: Final = {
     "lift": "a temporal convolution network on 2D keypoints alone",
     "sf2": "a network on 2D keypoints, corrected frame by frame by the sensors' orientations",
@@ -139,66 +131,32 @@ _METHODS: Final = {
 }
 
 
-def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Items]:
-    """Return topic -> item -> its value; None if the user must provide it; inputs: of `report.provenance`; bands:
-    whether angles have 95 % bands; gaps: description of missing data.
+def checklist(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Any]:
+    """Return what the checklist says of a recording, None or empty where the user must provide it; what ends with a
+    colon is to be continued.
+
+    Args:
+        inputs: of `input_provenance`. bands: whether angles have 95 % bands. gaps: description of missing data.
     """
     subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
     units = {"height_m": "m tall", "mass_kg": "kg"}
     body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
-    body += [subject["sex"]] if subject.get("sex") else []
     sensors = inputs.get("sensors") or []
     rates = sorted({f"{s['rate_hz']:.4g} Hz" for s in sensors if s.get("rate_hz")})
     largest = [s["largest_specific_force_m_s2"] for s in sensors if s.get("largest_specific_force_m_s2")]
-    force = f"the largest specific force was {max(largest):.0f} m/s2; the range itself:" if largest else None
-    heading = aligned = delay = None
-    if sensors:
-        heading = "constant headings as given with the recording"
-        aligned = "as given with the recording; its procedure:"
-        delay = "one clock, as given with the recording; how it was made:"
-    if inputs.get("calibration"):
-        heading = "estimated from the recording itself, see Calibration"
-        aligned = "as given, corrected from the recording itself, see Calibration"
-        delay = "delay between video and sensors estimated from the recording itself, see Calibration"
-    hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges within their limits"
     return {
-        "Participants and task": {
-            "height, mass, sex": ", ".join(body) or None,
-            "age, condition, criteria of inclusion": None,
-            "task, instructions, speed, footwear": session.get("protocol"),
-            "place, floor, ferromagnetic surroundings": session.get("place"),
-        },
-        "Sensors": {
-            "manufacturer, model, firmware; which of accelerometer, gyroscope, magnetometer": None,
-            "ranges, resolution, noise": force,
-            "sampling rate": ", ".join(rates) or None,
-            "number and placement": "; ".join(map(_place, sensors)) or "no sensors were used",
-            "how they were fixed (strap, tape, clothing), by whom": None,
-            "calibration of the sensors themselves (bias, scale), when": None,
-        },
-        "Orientation and alignment": {
-            "orientation filter, its settings, use of the magnetometer": None,
-            "heading reference and drift": heading,
-            "sensor to segment: static pose, functional movement, manual alignment": aligned,
-            "synchronisation, between sensors and with the camera": delay,
-            "estimation of the motion": _METHODS.get(mode),
-        },
-        "Joint kinematics": {
-            "body model": f"tree of rigid segments, {subject.get('bones', 'bones not stated')}{hinges}",
-            "segment frames": "x forward, y up, z right in the anatomical standing posture (the ISB's axes)",
-            "joint coordinate systems and sequences": "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood "
-            "and Suntay); shoulder Y-X-Y (Wu 2005) and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs "
-            "in angles.json",
-            "zero of the angles": "anatomical standing posture of the model; no static trial is subtracted",
-            "filters": "none on angles; velocities from angles low-passed at 6 Hz",
-        },
-        "Quality": {
-            "missing data": gaps,
-            "uncertainty of the angles": "95 % bands of the posterior, inflated on other subjects" if bands else None,
-            "validation against a reference for this task and population": None,
-            "repeatability between trials, days and operators": None,
-            "software and version": inputs.get("software"),
-        },
+        "body": ", ".join([*body, *([subject["sex"]] if subject.get("sex") else [])]),
+        "session": session,
+        "force": f"the largest specific force was {max(largest):.0f} m/s2; the range itself:" if largest else None,
+        "rates": ", ".join(rates),
+        "sensors": "; ".join(map(_place, sensors)),
+        "calibrated": bool(inputs.get("calibration")),
+        "method": _METHODS.get(mode),
+        "bones": subject.get("bones", "bones not stated"),
+        "hinges": mode not in ("lift", "sf2"),
+        "gaps": gaps,
+        "bands": bands,
+        "software": inputs.get("software"),
     }
 
 

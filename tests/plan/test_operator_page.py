@@ -12,7 +12,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import MOVEMENTS, movement
-from rtof_kin.plan.operator_page import draw_setup, operator_page, operator_steps
+from rtof_kin.plan.operator_page import draw_setup, operator_page
 from rtof_kin.plan.protocol import direction, framing, sensor_places
 
 SKELETON = SkeletonModel.default()
@@ -74,8 +74,7 @@ def test_the_drawing_has_the_numbers_and_every_sensor(tmp_path: Path) -> None:
 def page(poses: PoseSequence = SQUAT, doubts: tuple[str, ...] = ("Knee <rotation> is unknown",)) -> str:
     info, places = MOVEMENTS["squat"], sensor_places(SKELETON, SENSORS)
     place = framing(poses, SKELETON, camera_at(-30, 3.27))
-    steps = operator_steps(info, place, places, 3, 12.0)
-    return operator_page("Knee & hip", info, steps, "<svg>http://www.w3.org</svg>", doubts)
+    return operator_page("Knee & hip", info, (3, 12.0), place, places, "<svg>http://www.w3.org</svg>", doubts)
 
 
 def test_the_page_has_all_sensors_and_numbers_and_escapes_texts() -> None:
@@ -108,6 +107,6 @@ def test_the_page_has_all_sensors_and_numbers_and_escapes_texts() -> None:
 def test_every_movement_with_all_sensors_fits(name: str) -> None:
     place = framing(SQUAT, SKELETON, camera_at(-30, 3.27))
     info = MOVEMENTS[name]
-    steps = operator_steps(info, place, sensor_places(SKELETON, SENSORS), info.repetitions, 30.0)
-    assert operator_page(name, info, steps, "<svg/>", ["x" * 90] * 6)
-    assert "0 sensor" not in " ".join(operator_steps(info, place, {}, 1, 30.0))
+    how, places = (info.repetitions, 30.0), sensor_places(SKELETON, SENSORS)
+    assert f"Strap on {len(SENSORS)} sensor(s)" in operator_page(name, info, how, place, places, "<svg/>", ["x" * 90])
+    assert "Strap on" not in operator_page(name, info, how, place, {}, "<svg/>")
