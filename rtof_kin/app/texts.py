@@ -1,4 +1,4 @@
-"""All texts of the application in English; another language is another `Texts`.
+"""All texts of the application in English; another language is a file of the same fields in ``assets``.
 
 `TEXTS` are those of the language that was chosen last in this process: read them where they are shown, not at import.
 """
@@ -8,7 +8,15 @@ from __future__ import annotations
 import locale
 import re
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Final, cast
+
+from pydantic import TypeAdapter
+
+from rtof_kin.core.files.text import load_toml
+
+_CATALOGUES: Final = Path(__file__).parent / "assets"  #: A file for each other language
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,6 @@ class Texts:
     identifier: str = "Identifier (no name)"
     height: str = "Standing height in cm"
     add_person: str = "Add person"
-    visits: str = "Visits"
     date: str = "Date of the visit, as 2026-01-31"
     add_visit: str = "Add visit"
     recording: str = "Name of the recording, as walk"
@@ -356,11 +363,12 @@ _chosen: Final = _Chosen()
 TEXTS: Final = cast(Texts, _chosen)
 
 
+@cache
 def languages() -> dict[str, Texts]:
     """Return the catalogues by their codes."""
-    from rtof_kin.app.german import GERMAN  # is made of `Texts`
-
-    return {texts.code: texts for texts in (Texts(), GERMAN)}
+    files = sorted(_CATALOGUES.glob("*.toml"))
+    others = (TypeAdapter(Texts).validate_python(load_toml(path)) for path in files)
+    return {texts.code: texts for texts in (Texts(), *others)}
 
 
 def speak(code: str = "") -> None:
