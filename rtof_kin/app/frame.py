@@ -33,40 +33,7 @@ _COLOURS: Final = {
     State.FAILED: "red-10",
 }
 EVERY: Final = 0.5  # [s] between two looks at what has changed
-_STYLE: Final = """
-<style>
-  .nicegui-content { max-width: 70rem; margin: 0 auto; }
-  a:not(.q-btn) { display: inline-block; line-height: 40px; }
-  @layer overrides {  /* Quasar's own are !important in a later layer, which an earlier one overrules */
-    a:not(.q-btn) { color: #1565c0 !important; }
-    .body--dark a:not(.q-btn), .body--dark .text-primary { color: #90caf9 !important; }
-    :focus-visible:not(.q-field__native), .q-field__control:focus-within
-      { outline: 3px solid #1565c0 !important; outline-offset: 2px; }
-    .body--dark :focus-visible:not(.q-field__native), .body--dark .q-field__control:focus-within
-      { outline-color: #90caf9 !important; }
-  }
-  .doubt { color: #b00020; }
-  .body--dark .doubt { color: #ff8a80; }
-  .q-btn { min-height: 40px; }
-  .row > [aria-level="2"] ~ * { margin-top: 1rem; }
-  .people { position: relative; }
-  .people img { width: 100%; display: block; }
-  .people div { position: absolute; border: 3px solid transparent; border-radius: 6px; cursor: pointer; }
-  .people div:hover, .people .on { border-color: #1565c0; background: #1565c022; }
-  button[draggable]:focus { outline: 3px solid #1565c0; }
-  .body line { stroke: #90a4ae; stroke-linecap: round; cursor: pointer; }
-  .body line:hover { stroke: #546e7a; }
-  .body .on { stroke: #1565c0; }
-  .body text { fill: white; font-size: 11px; font-weight: bold; text-anchor: middle; pointer-events: none; }
-  iframe { width: 100%; height: 85vh; border: 1px solid #9aa4ae; background: white; }
-</style>
-<script>  // the button of an upload has no name of its own
-  new MutationObserver(() => document.querySelectorAll(".q-uploader__input:not([aria-label])").forEach(input => {
-    const title = input.closest(".q-uploader").querySelector(".q-uploader__title");
-    input.ariaLabel = input.closest(".q-btn").ariaLabel = title.textContent;
-  })).observe(document, { childList: true, subtree: true });
-</script>
-"""
+_HEAD: Final = Path(__file__).parent / "assets" / "head.html"  #: Style of all pages
 
 
 class Frame:
@@ -89,7 +56,7 @@ class Frame:
         """Lay out a page; what is not there, or has a hostile name, is said in its place."""
         ui = self.ui
         ui.page_title(f"{title} · {TEXTS.title}")
-        ui.add_head_html(_STYLE)
+        ui.add_head_html(_HEAD.read_text(encoding="utf-8"))
         ui.colors(primary="#1565c0")
         ui.on_exception(self.say)  # of what is not `tried`
         with ui.row().props("role=navigation").classes("w-full"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -120,17 +120,6 @@ def _rate(times: Array) -> float | None:
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else None
 
 
-_METHODS: Final = {
-    "lift": "a temporal convolution network on 2D keypoints alone",
-    "sf2": "a network on 2D keypoints, corrected frame by frame by the sensors' orientations",
-    "rto": "a network on 2D keypoints, then a posterior optimised in fragments; no sensors",
-    "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's "
-    "configuration, optimised in overlapping fragments; orientation residuals are weighted separately "
-    "across the bone and about it, acceleration at the lever arm",
-    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and hinges",
-}
-
-
 def checklist(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Any]:
     """Return what the checklist says of a recording, None or empty where the user must provide it; what ends with a
     colon is to be continued.
@@ -151,9 +140,8 @@ def checklist(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> d
         "rates": ", ".join(rates),
         "sensors": "; ".join(map(_place, sensors)),
         "calibrated": bool(inputs.get("calibration")),
-        "method": _METHODS.get(mode),
+        "mode": mode,
         "bones": subject.get("bones", "bones not stated"),
-        "hinges": mode not in ("lift", "sf2"),
         "gaps": gaps,
         "bands": bands,
         "software": inputs.get("software"),
