@@ -248,7 +248,7 @@ class Frame:
     def badge(self, state: State, count: int = 0) -> None:
         """A state, maybe of so many recordings."""
         text = TEXTS.counted if count else "{state}"
-        said = text.format(count=count, state=dict(TEXTS.states)[state.value])
+        said = text.format(count=count, state=TEXTS.states[state.value])
         self.ui.badge(said, color=_COLOURS[state]).classes("text-sm p-1")
 
     def height(self, person: str) -> str:

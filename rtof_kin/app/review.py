@@ -89,7 +89,7 @@ class ReviewPages(Frame):
         """Let a person add a correction; the range comes from the page below."""
         ui = self.ui
         sensors = [str(one["name"]) for one in read_summary(folder / MOTION / SUMMARY).inputs.get("sensors") or ()]
-        choices = dict(TEXTS.corrections) | {
+        choices = TEXTS.corrections | {
             f"leave_out {name}": TEXTS.leave_out_sensor.format(name=name) for name in sensors
         }
         with self.row():
@@ -152,7 +152,7 @@ def _waits(folder: Path) -> bool:
 def _words(one: Correction) -> str:
     """Return a correction in the words of the page."""
     usual = TEXTS.leave_out_sensor.format(name=one.what)
-    what = dict(TEXTS.corrections).get(f"{one.kind} {one.what}".strip(), usual)
+    what = TEXTS.corrections.get(f"{one.kind} {one.what}".strip(), usual)
     ends = [f"{at:.2f}" if isfinite(at) else "..." for at in one.span][: 1 if one.kind in EVENTS else 2]
     where = f", {' - '.join(ends)} s" if set(ends) != {"..."} else ""
     return f"{what}{where} ({one.who}, {one.when.replace('T', ' ')}): {one.why}"

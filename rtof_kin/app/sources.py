@@ -52,7 +52,7 @@ _HELD: Final = "e => { e.dataTransfer?.setData('text/plain', ''); emit() }"  # w
 
 def body_drawing(places: Mapping[str, str]) -> str:
     """Return the body as SVG, with sensors by the numbers of their order. `places`: segments, '' where left out."""
-    out, words = list[str](), TEXTS.places
+    out, words = list[str](), TEXTS.segments
     for segment, (x0, y0, x1, y1, width) in _BODY.items():
         here = {str(number): name for number, (name, place) in enumerate(places.items(), 1) if place == segment}
         line = f'<line data-choice="{segment}" x1="{x0}" y1="{y0}" x2="{x1}" y2="{y1}" stroke-width="{width}"'
@@ -178,7 +178,7 @@ class SourceParts:
         with suppress(RtofError):  # nothing was found yet
             found = read_findings(self.folder / RECORDING)
             with ui.expansion(TEXTS.findings, value=True).classes("w-full"):
-                for kind, words in reversed(TEXTS.kinds):
+                for kind, words in reversed(TEXTS.kinds.items()):
                     for sentence in getattr(found, kind):
                         ui.label(f"{words}: {worded(sentence)}").classes("doubt" if kind == "doubtful" else "")
 
@@ -197,7 +197,7 @@ class SourceParts:
             rate = ui.number(TEXTS.rate, value=take.rate_hz, min=1).classes("w-80")
             rate.on_value_change(lambda event: self._keep(rate_hz=event.value or None))
         if not sources.seen:
-            pose = ui.select(dict(TEXTS.poses), label=TEXTS.pose, value=take.pose).classes("w-80")
+            pose = ui.select(TEXTS.poses, label=TEXTS.pose, value=take.pose).classes("w-80")
             pose.on_value_change(lambda event: self._keep(pose=event.value))
         if take.second:
             one_clock = ui.checkbox(TEXTS.synchronised, value=take.synchronised)
@@ -279,7 +279,7 @@ class SourceParts:
                         chip = ui.button(f"{number}: {name}", color=None).props("outline no-caps draggable=true")
                         for event in ("click", "dragstart"):
                             chip.on(event, lambda name=name: held.append(name), js_handler=_HELD)
-                        options = {places[name]: places[name], "": TEXTS.no_place} | TEXTS.places
+                        options = {places[name]: places[name], "": TEXTS.no_place} | TEXTS.segments
                         fields[name] = ui.select(options, value=places[name], label=name).classes("w-48")
                         fields[name].on_value_change(lambda event, name=name: moved(name, event.value))
                         said = TEXTS.sure.format(percent=100 * sure) if sure < 1 else TEXTS.stated
@@ -300,7 +300,7 @@ def _kind(path: Path) -> str:
 
 def _named(kind: str) -> str:
     """Return a kind in the language of the page."""
-    return dict(TEXTS.sources).get(kind, kind)
+    return TEXTS.sources.get(kind, kind)
 
 
 def _no_detector() -> bool:

@@ -83,7 +83,7 @@ def tour(frame: Frame) -> None:
     with frame.ui.element("section").classes("w-full") as section:
         frame.heading(TEXTS.tour, 2)
         with frame.ui.element("ol").classes("grid grid-cols-1 sm:grid-cols-3 md:grid-cols-5 gap-4 py-4"):
-            for picture, (title, words) in zip(_PICTURES, TEXTS.steps, strict=True):
+            for picture, (title, words) in zip(_PICTURES, TEXTS.steps.items(), strict=True):
                 with frame.ui.element("li"):
                     frame.ui.html(_SVG.format(picture), sanitize=False).classes("text-primary")
                     frame.ui.label(title).classes("text-lg")

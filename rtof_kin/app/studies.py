@@ -114,11 +114,11 @@ class StudyPages(Frame):
                 with self.row():
                     ui.label(folder.name.replace("_", " ")).classes("text-lg")
                     for file in pages:
-                        ui.link(dict(TEXTS.pages)[file], f"{address}/{file}", new_tab=True)
+                        ui.link(TEXTS.pages[file], f"{address}/{file}", new_tab=True)
                     said = TEXTS.delete_made.format(name=folder.name)
                     self.icon("delete", said, lambda one=folder: remove_written(one))
                 if number == 0 and pages:
-                    source = f'src="{self.prefix}{address}/{pages[0]}" title="{dict(TEXTS.pages)[pages[0]]}"'
+                    source = f'src="{self.prefix}{address}/{pages[0]}" title="{TEXTS.pages[pages[0]]}"'
                     ui.element("iframe").props(f'{source} sandbox="{SANDBOX}"')
 
         def made() -> list[Path]:  # the latest first

@@ -98,7 +98,7 @@ class TakePages(Frame):
     def _progress(self, folder: Path) -> None:
         line = self.ui.label().props("role=status").classes("text-lg")
         finishing = TEXTS.looking if self.store.take(folder).look else TEXTS.finishing
-        rows, bars, names = self.ui.column().classes("w-full"), dict[str, Any](), dict(TEXTS.stages)
+        rows, bars, names = self.ui.column().classes("w-full"), dict[str, Any](), TEXTS.stages
 
         def update() -> None:
             stages = self.work.stages(folder)

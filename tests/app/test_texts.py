@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -13,14 +12,13 @@ import pytest
 
 import rtof_kin.app
 from rtof_kin.app.store import State, Store
-from rtof_kin.app.texts import TEXTS, Texts, languages, speak
+from rtof_kin.app.texts import TEXTS, languages, speak
 from rtof_kin.setup.sources import SourceKind
 
-ENGLISH = Texts()
+ENGLISH = languages()["en-US"].model_dump()
+PAGES = sorted(Path(rtof_kin.app.__file__).parent.glob("*.py"))
 SAME = {"title", "options", "person"}
 """What is not translated."""
-TITLED = {"steps"}
-"""Pairs of two texts; in others the first one is a name of the engine."""
 
 
 @pytest.fixture(autouse=True)
@@ -31,29 +29,39 @@ def english() -> Iterator[None]:
 
 
 def pieces(value: Any) -> list[str]:
-    """The texts of a field, also those in pairs."""
-    return [value] if isinstance(value, str) else [text for one in value for text in pieces(one)]
+    """The texts of a name, also several."""
+    return [value] if isinstance(value, str) else list(value.values() if isinstance(value, dict) else value)
 
 
 def braces(text: str) -> set[tuple[Any, ...]]:
     return {found[1:] for found in Formatter().parse(text) if found[1] is not None}
 
 
-@pytest.mark.parametrize("code", [code for code in languages() if code != ENGLISH.code])
-@pytest.mark.parametrize("name", [field.name for field in fields(Texts) if field.name not in SAME])
+@pytest.mark.parametrize("code", [code for code in languages() if code != "en-US"])
+@pytest.mark.parametrize("name", sorted({*ENGLISH} - SAME))
 def test_text_is_translated_with_the_same_braces(name: str, code: str) -> None:
-    own, other = getattr(ENGLISH, name), getattr(languages()[code], name)
+    own, other = ENGLISH[name], languages()[code].model_dump()[name]
     assert own != other, f"{name} is not translated: {own!r}"
     for one, two in zip(pieces(own), pieces(other), strict=True):
         assert braces(one) == braces(two)
         assert bool(one.strip()) == bool(two.strip())
-    if isinstance(own[0], tuple) and name not in TITLED:
-        assert [key for key, _ in own] == [key for key, _ in other]
+    if isinstance(own, dict) and name != "steps":  # else the keys are names of the engine
+        assert list(own) == list(other)
+
+
+def test_the_texts_that_pages_read_are_those_of_the_catalogues() -> None:
+    read = set[str]()
+    for path in PAGES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "TEXTS":
+                read.add(node.attr)
+    assert read == {*ENGLISH} - {"language"}
+    assert all({*texts.model_dump()} == {*ENGLISH} for texts in languages().values())
 
 
 def test_every_state_and_kind_of_file_has_a_name() -> None:
-    assert set(dict(TEXTS.states)) == {state.value for state in State}
-    assert set(dict(TEXTS.sources)) == {kind.value for kind in SourceKind}
+    assert set(TEXTS.states) == {state.value for state in State}
+    assert set(TEXTS.sources) == {kind.value for kind in SourceKind}
 
 
 def test_texts_follow_the_language(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,7 +74,7 @@ def test_texts_follow_the_language(monkeypatch: pytest.MonkeyPatch) -> None:
         assert TEXTS.code == code
 
 
-@pytest.mark.parametrize("path", sorted(Path(rtof_kin.app.__file__).parent.glob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_no_text_is_read_at_import(path: Path) -> None:
     """It would stay in the language of the first moment."""
     late = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
