@@ -22,13 +22,13 @@ from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.packages import optional
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.view.canvas import Image, resized
 from rtof_kin.view.legend import DETECTED, REPROJECTED
 from rtof_kin.vision.video_metadata import open_video, slow_motion, upright_image
 
 HEIGHT: Final = 360  #: [px] Largest height of the images
 _AHEAD: Final = 2.0  # [s] Up to which images are decoded one after the other instead of sought
 _ROUNDING: Final = 0.004  # [s] By which a stamp may be before that of its image
-Image = NDArray[np.uint8]
 DEPTH: Final = 0.6  #: [m] of the image before the camera
 _EDGES: Final = (40, 40, 48)
 _POINT: Final = 0.009  # Size of a point relative to the depth
@@ -106,13 +106,10 @@ class VideoFrames:
 
 
 def _small(image_bgr: Image) -> Image:
-    """Return an image of at most `HEIGHT`, RGB, by means over blocks of pixels."""
-    step = max(int(np.ceil(image_bgr.shape[0] / HEIGHT)), 1)
-    h, w = (side // step * step for side in image_bgr.shape[:2])
-    if step > 1:
-        parts = image_bgr[:h, :w].reshape(h // step, step, w // step, step, 3)
-        image_bgr = parts.mean(axis=(1, 3), dtype=np.float32).astype(np.uint8)
-    return np.ascontiguousarray(image_bgr[..., ::-1])
+    """Return an image of at most `HEIGHT`, RGB."""
+    height, width = image_bgr.shape[:2]
+    part = min(1.0, HEIGHT / height)
+    return np.ascontiguousarray(resized(image_bgr, (round(part * width), round(part * height)))[..., ::-1])
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,14 @@ class Canvas:
         self._cv2.fillConvexPoly(self.image, place, colour[::-1], self._cv2.LINE_AA, _SHIFT)
 
 
+def resized(image: Image, size: tuple[int, int]) -> Image:
+    """Return an image in another size. `image`: (height, width, 3). `size`: width and height, px."""
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    cv2 = optional("cv2", "view", "another size of images")
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
 class Lettering:
     """Text as masks, in DejaVu Sans, which comes with matplotlib: the same on every machine."""
 

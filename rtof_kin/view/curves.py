@@ -101,10 +101,8 @@ class Curves:
     @property
     def chosen(self) -> tuple[str | None, ...]:
         """Names of the chosen angles; None where there is none."""
-        labels = [choice.value for choice in self._choices]
-        return tuple(
-            None if label == _NONE else self._angles.names[self._angles.labels.index(label)] for label in labels
-        )
+        names = dict(zip(self._angles.labels, self._angles.names, strict=True))
+        return tuple(names.get(choice.value) for choice in self._choices)
 
     def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
         """Show the curves around a time; return False while they are computed. `time`: of it, s.
@@ -132,15 +130,10 @@ class Curves:
             bands += [values, values - half, values + half]
         limits = _limits(np.array(bands).reshape(len(self._choices), _PER_CURVE, -1))
         near = slice(*np.searchsorted(found.times, [time - WINDOW, time + WINDOW]).tolist())
-        self._scale(limits)
+        if limits != self._shown_limits:  # then viser draws the plot anew
+            self._shown_limits, self._plot.scales = limits, _scales(limits)
         self._plot.data = _data(found.times[near], [band[near] for band in bands], time, limits)
         return True
-
-    def _scale(self, limits: tuple[float, float]) -> None:
-        """Fix the vertical axis; viser draws the plot anew where it changes."""
-        if limits != self._shown_limits:
-            self._shown_limits = limits
-            self._plot.scales = _scales(limits)
 
     def _choose(self) -> None:
         self.changed = True

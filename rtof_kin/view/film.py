@@ -13,10 +13,9 @@ from rtof_kin.body.motion_file import MotionReader, motion_folder
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
-from rtof_kin.core.packages import optional
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path, read_measurements
-from rtof_kin.view.canvas import Image
+from rtof_kin.view.canvas import resized
 from rtof_kin.view.film_files import (
     GIF_HEIGHT,
     GIF_WIDTH,
@@ -129,7 +128,9 @@ def write_overlay(
         with writer:
             frames, without = _draw(source, painter, writer, size, shift, settings, progress)
         if frames == 0:
-            raise InvalidInputError(f"overlay: no picture is {_interval(settings)}; see --from and --to")
+            first = "its beginning" if settings.start is None else f"{settings.start:g} s"
+            last = "its end" if settings.stop is None else f"{settings.stop:g} s"
+            raise InvalidInputError(f"overlay: no picture is from {first} to {last}; see --from and --to")
     return OverlayResult(Path(output), *size, frames, without, writer.encoder, notes, result.verdict)
 
 
@@ -201,19 +202,3 @@ def _draw(
     if progress is not None and total:
         progress(_STAGE, total, total)
     return frames, without
-
-
-def resized(image: Image, size: tuple[int, int]) -> Image:
-    """Return an image in another size. `image`: (height, width, 3). `size`: width and height, px."""
-    if (image.shape[1], image.shape[0]) == size:
-        return image
-    cv2 = optional("cv2", "view", "another size of pictures")
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-
-
-def _interval(settings: OverlaySettings) -> str:
-    start, stop = (
-        "its beginning" if settings.start is None else f"{settings.start:g} s",
-        "its end" if settings.stop is None else f"{settings.stop:g} s",
-    )
-    return f"from {start} to {stop}"

@@ -214,15 +214,11 @@ class Mp4Writer:
             if kind is None and self._first is not None:
                 self._mux(None)
         finally:
-            self._close(kind is None)
-
-    def _close(self, complete: bool) -> None:
-        """Close the file; an error matters only if it was complete so far."""
-        try:
-            self._container.close()
-        except self._av.FFmpegError as error:
-            if complete:
-                raise self._failed(error) from error
+            try:
+                self._container.close()
+            except self._av.FFmpegError as error:
+                if kind is None:  # else another error is on its way
+                    raise self._failed(error) from error
 
 
 class GifWriter:

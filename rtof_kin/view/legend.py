@@ -89,7 +89,7 @@ def verdict_html(verdict: Verdict) -> str:
     return _block(f'<b style="color:rgb{colour}">{escape(grade.upper())}</b>: {escape(reason)}', before=name)
 
 
-def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = False, axes: bool = True) -> str:
+def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = False) -> str:
     """Return the meaning of the colours."""
     merged: dict[Rgb, list[str]] = {}
     for kind in sorted(Provenance, reverse=True):
@@ -100,9 +100,10 @@ def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = Fa
     rows += [(TRUTH, "truth (transparent)")] if truth else []
     rows += [(SECOND, "second motion (transparent)")] if second else []
     lines = [f"{_swatch(colour)} {escape(text)}" for colour, text in rows]
-    notes = ["Segment observed by; its weaker end counts. Faint: not reliable."]
-    if axes:
-        notes.append("Axes: x red, y green, z blue. Short: turn about the bone not observed.")
+    notes = (
+        "Segment observed by; its weaker end counts. Faint: not reliable.",
+        "Axes: x red, y green, z blue. Short: turn about the bone not observed.",
+    )
     return _block("<br>".join(lines) + "".join(f'<br><span style="color:#555">{n}</span>' for n in notes))
 
 
