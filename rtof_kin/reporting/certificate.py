@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from markupsafe import Markup
 from pydantic import BaseModel, Field, NonNegativeFloat
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -189,7 +188,7 @@ class CertificateSummary(BaseModel):
 def section(found: CertificateSummary, words: AngleTable) -> dict[str, Any]:
     """Return what a page shows: sentences in plain words, table and picture."""
     said = [sentence(plain_words(one, words)) for one in found.sentences]
-    return {"sentences": said, "table": table(found, words), "picture": picture(found, words)}
+    return {"sentences": said, "table": table(found, words), "bars": bars(found, words)}
 
 
 def table(found: CertificateSummary, words: AngleTable) -> Table:
@@ -202,29 +201,6 @@ def table(found: CertificateSummary, words: AngleTable) -> Table:
     return Table(columns, rows, digits=(None, 1, 1, 1, 1, 0), row_headers=True)
 
 
-_ROW, _LEFT, _WIDE = 22, 130, 420  # px of the picture
-
-
-def picture(found: CertificateSummary, words: AngleTable) -> Markup:
-    """Return bars of the certified errors with the stated ones as ticks, SVG."""
-    largest = max((s or 0.0 for one in found.sensors for s in (one.error_deg, one.stated_deg)), default=0.0)
-    step = 10 if largest <= 60 else 30
-    most = min(step * max(3, math.ceil(largest / step)), 180)
-    scale, bars = _WIDE / most, Markup()
-    for i, one in enumerate(found.sensors):
-        y, end = 8 + _ROW * i, scale * min(one.error_deg or 0.0, most)
-        name = plain_words(one.segment, words)
-        bars += Markup('<text x="{}" y="{}" text-anchor="end">{}</text>').format(_LEFT - 8, y + 11, name)
-        bars += Markup('<rect x="{}" y="{}" width="{:.1f}" height="12"/>').format(_LEFT, y, end)
-        if one.stated_deg is not None:
-            x = _LEFT + scale * min(one.stated_deg, most)
-            bars += Markup('<path d="M{:.1f} {}v18"/>').format(x, y - 3)
-    bottom = 14 + _ROW * len(found.sensors)
-    ticks = Markup().join(
-        Markup('<text x="{:.0f}" y="{}" text-anchor="middle">{}°</text>').format(_LEFT + scale * d, bottom + 12, d)
-        for d in range(0, most + 1, step)
-    )
-    label = "Error of each segment without its sensor, degrees; the line is what was stated"
-    return Markup('<svg class="certificate" viewBox="0 0 {} {}" role="img" aria-label="{}">{}{}</svg>').format(
-        _LEFT + _WIDE + 20, bottom + 20, label, bars, ticks
-    )
+def bars(found: CertificateSummary, words: AngleTable) -> list[tuple[str, float | None, float | None]]:
+    """Return the segments of the picture with their certified and stated errors, deg."""
+    return [(plain_words(one.segment, words), one.error_deg, one.stated_deg) for one in found.sensors]

@@ -52,18 +52,6 @@ from rtof_kin.reporting.summary_lines import summary_lines
 PAGE: Final = "report.html"
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js")  # of pages with curves and a skeleton that plays
 _NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
-_CONTENTS: Final = {
-    "ranges": "Ranges",
-    "angles": "Curves",
-    "motion": "Motion in 3D",
-    "gait": "Gait",
-    "torques": "Torques",
-    "verdicts": "Quality",
-    "recording": "Recording",
-    "calibration": "Calibration",
-    "isb": "Checklist",
-    "audit": "Audit",
-}
 OBSERVED: Final = 0.995  #: Share of the frames from which on something counts as always observed
 _RELIABLE: Final = 0.75  # share of reliable among observed frames below which a range says it
 _FEWEST: Final = 0.25  # share of observed and reliable frames below which there is no range
@@ -143,7 +131,6 @@ def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, sess
         title=f"{named}: motion report",
         origin=_origin(summary, session, made),
         summary=_summary(analysis, summary, overall, session),
-        contents=_CONTENTS,
         way=way_line(analysis.travel),
         ranges=range_tables(analysis.ranges, analysis.angles.rows, whole),
         whole_curves=f"Curve, in parentheses: {curve_note()}." if whole else "",

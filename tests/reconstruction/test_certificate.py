@@ -25,13 +25,16 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import AuditResult, Grade, headline
-from rtof_kin.reporting.certificate import CertificateSummary, facts, picture, results, sentences, table
+from rtof_kin.reporting.certificate import CertificateSummary, bars, facts, results, sentences, table
+from rtof_kin.reporting.html import _environment
 
 Array = NDArray[np.float64]
 T = 600
 TIMES = np.arange(T) / 60
 SETTINGS = ReconstructionSettings(frames=16, certificate=True, sensor_joints=planted.LIMBS)  # compiled once for all
 JOINTS = ("LeftArm", "LeftForeArm", "LeftUpLeg", "LeftLeg")
+
+PARTS: Any = _environment().get_template("parts.html").module
 
 
 def left_out(swing: float, stated: float, joint: str = "LeftLeg", seed: int = 0, **changes: Any) -> LeftOut:
@@ -226,7 +229,7 @@ def test_facts_are_plain_and_the_page_shows_them() -> None:
     summary = CertificateSummary(**data)
     words = planted_words()
     assert [row[0] for row in table(summary, words).text()] == ["left shank", "left upper arm"]
-    drawn = picture(summary, words)
+    drawn = str(PARTS.bars(bars(summary, words)))
     assert drawn.count("<rect") == 2
     assert drawn.count("<path") == 1  # nothing was stated of the other
 
@@ -366,7 +369,7 @@ def test_a_damaged_summary_is_refused(damage: dict[str, Any]) -> None:
 
 def test_the_picture_shows_large_errors_to_scale() -> None:
     data = facts(certificate(left_out(75.0, 50.0), left_out(20.0, 10.0, "LeftArm")), BODY)
-    drawn = picture(CertificateSummary(**data), planted_words())
+    drawn = str(PARTS.bars(bars(CertificateSummary(**data), planted_words())))
     long, short = (float(width) for width in re.findall(r'<rect[^>]* width="([\d.]+)"', drawn))
     assert long / short == pytest.approx(data["sensors"][0]["error_deg"] / data["sensors"][1]["error_deg"], rel=0.01)
     assert "90°" in drawn
