@@ -86,7 +86,9 @@ def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
         if default is MISSING and callable(factory):
             default = factory()
         required = default is MISSING
-        usual = "" if required or default is None or default == () else _text(default)
+        usual = "" if required or default is None else str(default)
+        if isinstance(default, tuple):
+            usual = ",".join(map(str, default))
         how = Parameter(name=f"--{option.replace('_', '-')}", help=described[name], show_default=False)
         if chosen.group:
             how = Parameter.combine(how, Parameter(group=chosen.group))
@@ -117,10 +119,6 @@ def descriptions(settings: type) -> dict[str, str]:
                 continue
             found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
     return found
-
-
-def _text(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:

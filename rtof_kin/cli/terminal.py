@@ -160,7 +160,8 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
     `found`: statistics of what was exported to `folder`.
     """
     first = found.first
-    source = f"{_duration(found.seconds)} at {first.motion.poses.rate_hz:.0f} Hz"
+    long = f"{found.seconds:.1f} s" if found.seconds < 600 else f"{found.seconds / 60:.1f} min"
+    source = f"{long} at {first.motion.poses.rate_hz:.0f} Hz"
     parts = ["one camera"] if first.keypoints is not None else []
     parts += [f"{len(first.bone_imus.joints)} IMUs"] if first.bone_imus is not None else []
     lines = {
@@ -177,11 +178,6 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
         if name == "recording":
             for other in first.lifts:
                 line("lift", str(other))
-
-
-def _duration(seconds: float) -> str:
-    """Seconds, of long recordings minutes."""
-    return f"{seconds:.1f} s" if seconds < 600 else f"{seconds / 60:.1f} min"
 
 
 def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | None, mode: str) -> str:

@@ -129,7 +129,8 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
         plan, folders = read_plan(folder), _folders(folder)
     else:
         plan, folders, folder = Plan(), {Path(one).resolve().name: Path(one) for one in folder}, Path()
-    found = {name: motions for name, visit in folders.items() if (motions := _motions(visit))}
+    motions = {name: sorted([*visit.rglob(MOTION), *visit.rglob(EARLIER)]) for name, visit in folders.items()}
+    found = {name: own for name, own in motions.items() if own}
     wanted = tuple(plan.names or found)
     if missing := [name for name in wanted if name not in found]:
         raise FileFormatError(
@@ -159,10 +160,6 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
         names, first = [visit.name for visit in visits], plan.names.get(plan.baseline, plan.baseline)
         baseline = indices_of(f"visit in {folder / PLAN}, baseline", [first], names)[0]
     return FoundVisits(tuple(visits), baseline, plan, tuple(notes))
-
-
-def _motions(visit: Path) -> list[Path]:
-    return sorted(path for name in (MOTION, EARLIER) for path in visit.rglob(name))
 
 
 def _folders(folder: Path) -> dict[str, Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -88,12 +89,16 @@ def recognise_source(path: str | Path) -> SourceKind:
     film = head[4:8] in _BOXES or head.startswith(_CONTAINERS) or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
     if film or path.suffix.lower() in VIDEO_SUFFIXES:
         return SourceKind.VIDEO
-    if head[:4] == b"PK\x03\x04":
-        return SourceKind.KEYPOINTS if set(ARRAY_NAMES) & set(_names(path)) else SourceKind.UNKNOWN
     if head[:6] == b"\x93NUMPY":
         return SourceKind.KEYPOINTS
-    if head[:1] == b"\x80":
-        return SourceKind.CAMERA if _is_opencap(path) else SourceKind.UNKNOWN
+    packed, pickled = head[:4] == b"PK\x03\x04", head[:1] == b"\x80"
+    if packed or pickled:
+        with suppress(FileFormatError, InvalidInputError):
+            if packed and set(ARRAY_NAMES) & set(npz_names(path)):
+                return SourceKind.KEYPOINTS
+            if pickled and len(read_opencap(path, up="y")) == 1:
+                return SourceKind.CAMERA
+        return SourceKind.UNKNOWN
     if format_of(path) is not None:
         return SourceKind.SENSORS
     if b"\0" in head:
@@ -101,20 +106,6 @@ def recognise_source(path: str | Path) -> SourceKind:
     if phone_files(path):
         return SourceKind.PHONE
     return _of_text(path, head.decode("utf-8-sig", errors="replace"))
-
-
-def _names(path: Path) -> tuple[str, ...]:
-    try:
-        return npz_names(path)
-    except FileFormatError:
-        return ()
-
-
-def _is_opencap(path: Path) -> bool:
-    try:
-        return len(read_opencap(path, up="y")) == 1
-    except (FileFormatError, InvalidInputError):
-        return False
 
 
 def _of_folder(folder: Path) -> SourceKind:
