@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
+from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from jinja2 import Environment
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
@@ -46,6 +48,7 @@ SECOND: Final[Rgb] = (170, 60, 190)  #: A second motion beside the first
 GRADES: Final = {"pass": (0, 120, 70), "plausible": (45, 100, 130), "warn": (180, 95, 0), "fail": (200, 0, 30)}
 """RGB by verdict."""
 _UNKNOWN: Final = (90, 90, 90)
+_MACROS: Final = Path(__file__).parent / "assets" / "legend.html"
 
 
 @dataclass(frozen=True)
@@ -81,12 +84,17 @@ def read_verdict(folder: Path) -> Verdict:
     return Verdict(grade if grade in GRADES else "", text, str(data.get("recording", "")))
 
 
+@cache
+def _macros() -> Any:
+    source = _MACROS.read_text(encoding="utf-8")
+    return Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(source).module
+
+
 def verdict_html(verdict: Verdict) -> str:
     """Return the verdict as a paragraph."""
     colour = GRADES.get(verdict.grade, _UNKNOWN)
     grade, _, reason = verdict.line.partition(": ")
-    name = f"<b>{escape(verdict.recording)}</b><br>" if verdict.recording else ""
-    return _block(f'<b style="color:rgb{colour}">{escape(grade.upper())}</b>: {escape(reason)}', before=name)
+    return str(_macros().verdict(verdict.recording, grade.upper(), reason, colour))
 
 
 def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = False) -> str:
@@ -99,12 +107,7 @@ def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = Fa
         rows += [(DETECTED, "detected point in the image"), (REPROJECTED, "joint of the motion in the image")]
     rows += [(TRUTH, "truth (transparent)")] if truth else []
     rows += [(SECOND, "second motion (transparent)")] if second else []
-    lines = [f"{_swatch(colour)} {escape(text)}" for colour, text in rows]
-    notes = (
-        "Segment observed by; its weaker end counts. Faint: not reliable.",
-        "Axes: x red, y green, z blue. Short: turn about the bone not observed.",
-    )
-    return _block("<br>".join(lines) + "".join(f'<br><span style="color:#555">{n}</span>' for n in notes))
+    return str(_macros().legend(rows))
 
 
 def curves_html(curves: Sequence[tuple[Rgb, str]], in_parts: bool) -> str:
@@ -112,24 +115,17 @@ def curves_html(curves: Sequence[tuple[Rgb, str]], in_parts: bool) -> str:
 
     `curves`: colour and name of each. in_parts: whether the angles are computed by parts of the motion.
     """
-    names = " &nbsp; ".join(f"{_swatch(colour)} {escape(name)}" for colour, name in curves)
     note = "light dots: 95 % band; no dots: not observed"
     if in_parts:
         note += "; computed by parts of 60 s"
-    return _block(f'{names}<br><span style="color:#555">{note}</span>')
+    return str(_macros().curves(curves, note))
 
 
 def sentences_html(sentences: Sequence[str]) -> str:
     """Return sentences as lines."""
-    return _block("<br>".join(map(escape, sentences)))
+    return str(_macros().sentences(sentences))
 
 
-def _swatch(colour: Rgb) -> str:
-    return (
-        '<span style="display:inline-block;width:0.9em;height:0.9em;border-radius:2px;vertical-align:-0.1em;'
-        f'background:rgb{colour}"></span>'
-    )
-
-
-def _block(inner: str, before: str = "") -> str:
-    return f'<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">{before}{inner}</div>'
+def corner_html(verdict: Verdict, part: str, legend: str) -> str:
+    """Return verdict, part of the motion and legend in a corner of the scene. `legend`: of `legend_html`."""
+    return str(_macros().corner(Markup(verdict_html(verdict)), part, Markup(legend)))

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jinja2 import Environment
-from markupsafe import Markup
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
-from rtof_kin.view.legend import Verdict, legend_html, verdict_html
+from rtof_kin.view.legend import Verdict, corner_html, legend_html
 from rtof_kin.view.motion_scene import ELLIPSOIDS, MotionScene
 from rtof_kin.view.viewer import Opened
 
@@ -31,13 +29,6 @@ _POLICY: Final = (
 )
 """The browser loads nothing from elsewhere."""
 _PATIENCE: Final = 3600.0  # [s] until a frame is read; a file of hours takes minutes
-_BOX: Final = Environment(autoescape=True).from_string(
-    '<div style="position:fixed;left:12px;top:12px;max-width:min(24em,45vw);z-index:10;font-family:'
-    "system-ui,sans-serif;color:#222;background:rgba(255,255,255,0.86);border-radius:6px;"
-    'padding:0.3em 0">{{ verdict }}'
-    '<div style="font-size:0.8em;padding:0 0.8em;color:#555">{{ part }}</div>{{ legend }}</div>'
-)
-"""Verdict, part of the motion and legend over the scene."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -160,7 +151,7 @@ def _part(times: Array, frames: list[int]) -> str:
 def _finished(text: str, verdict: Verdict, scene: MotionScene, part: str) -> str:
     """Return the page with its policy, title, verdict and legend."""
     legend = legend_html(cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None)
-    box = _BOX.render(verdict=Markup(verdict_html(verdict)), part=part, legend=Markup(legend))
+    box = corner_html(verdict, part, legend)
     head = f'<head><meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
     text = text.replace("<head>", head, 1)
     title = f"<title>{escape(verdict.recording or 'motion')} - rtof_kin</title>"
