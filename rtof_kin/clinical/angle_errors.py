@@ -9,6 +9,7 @@ median             median |d|
 offset             mean d
 offset_removed     sqrt(mean (d - m)^2), m the mean of d over each take's own curve of each angle
 within             share of the samples with |d| <= 1.96 s, s the estimate's own standard deviation
+agreement          NRMSE, CMC, range of motion and limits, see `rtof_kin.clinical.agreement`
 =================  ==============================================================================
 
 Samples are pooled: a longer take counts more. They are not independent; the number of takes says more about
@@ -23,6 +24,7 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.clinical.agreement import NO_AGREEMENT, Agreement, Curve, agreement_of
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.comparison import HEADINGS, error_sizes
@@ -43,6 +45,8 @@ class AngleDifferences:
     take: str
     difference: Array  #: (n,) rad, estimate - reference, n > 0
     sigma: Array | None = None  #: (n,) rad, the estimate's own standard deviation; None without bands
+    reference: Array | None = None  #: (n,) rad; None where it is not kept
+    person: str = ""  #: '' where people are not known
 
     @property
     def joint_angle(self) -> str:
@@ -67,6 +71,7 @@ class AngleErrors:
     offset: float
     within: float
     """NaN where the estimate has no bands."""
+    agreement: Agreement = NO_AGREEMENT
 
 
 def angle_differences(
@@ -101,7 +106,8 @@ def angle_differences(
         difference = (pair.a.values - pair.b.values)[0]
         known = np.isfinite(difference)
         sigma = None if pair.a.sigma is None else pair.a.sigma[0][known]
-        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma))
+        reference = pair.b.values[0][known]
+        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma, reference))
     for name in set(chosen) - {one.angle for one in found}:
         left_out[name] = "no common instant is observed and reliable in both"
     return tuple(found), left_out
@@ -116,6 +122,7 @@ def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, move
     size = np.concatenate([np.abs(one.difference) for one in banded]) if banded else np.empty(0)
     sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
     stated = np.isfinite(sigma)
+    curves = [Curve(o.person or o.take, o.reference, o.difference) for o in own if o.reference is not None]
     return AngleErrors(
         angle,
         movement,
@@ -124,6 +131,7 @@ def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, move
         **error_sizes(d, centred),
         offset=float(np.mean(d)),
         within=float(np.mean(size[stated] <= BAND_95 * sigma[stated])) if stated.any() else float("nan"),
+        agreement=agreement_of(curves),
     )
 
 

@@ -20,7 +20,7 @@ from rtof_kin.protocols.published import METRICS, PUBLISHED, WITHOUT_METRIC, Met
 from rtof_kin.protocols.tables import NAME, Table
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting import document
-from rtof_kin.reporting.document import Document, Figure, Section, subplots
+from rtof_kin.reporting.document import Document, Figure, Section, number, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -34,6 +34,17 @@ _COLUMNS: Final = {"joint angle": 0, "movement": 0, "takes": 0, "samples": 0, "R
     "in 95 % band": 0,
 }
 """Columns with their digits."""
+_AGREEMENT: Final = {"joint angle": 0, "movement": 0, "NRMSE [%]": 0, "CMC": 2, "range error": 1} | {
+    name: 1 for name in ("bias", "limit low", "limit high", "range bias", "range low", "range high")
+}
+_AGREED: Final = (
+    "Degrees. NRMSE: percent of the range of the reference in each take. CMC: coefficient of multiple correlation "
+    "(Ferrari et al. 2010); offsets count, and it is '-' where the curves differ more than they move. Range error: "
+    "mean size of the difference of the ranges of motion of a take and side.",
+    "Limits: bias -+ 1.96 s, s^2 the variance within plus between people, or takes where people are not known (Bland "
+    "and Altman 2007); of a single take the spread of its samples alone. First of the angle, over samples, then of the "
+    "range of motion, over takes and sides.",
+)
 _NOTES: Final = (
     "Degrees; estimate minus reference. Both sides of a joint are pooled. Offset: mean difference. No "
     "offset: RMSE after each take's own mean difference of each angle is removed.",
@@ -155,7 +166,7 @@ def angle_document(
 
     Title and notes are of the table of errors; further tables stand below it, and facts and files are added.
     """
-    tables = (error_table(rows, title, notes), published_table(rows), *further)
+    tables = (error_table(rows, title, notes), agreement_table(rows), published_table(rows), *further)
     figure = Figure("figures/angle_errors", "Errors of each joint angle, and published values", lambda: _figure(rows))
     plain = plain_rows(rows)
     return Document(
@@ -183,6 +194,17 @@ def error_table(rows: Sequence[AngleErrors], title: str, notes: Sequence[str] = 
     return Table("angles", title, tuple(_COLUMNS), tuple(_COLUMNS.values()), cells, (*notes, *_NOTES))
 
 
+def agreement_table(rows: Sequence[AngleErrors]) -> Table:
+    """Return NRMSE, CMC, errors of the range of motion and limits of agreement."""
+    cells: list[tuple[str | float | None, ...]] = []
+    for row in rows:
+        own, movement = row.agreement, "all" if row.movement == ALL else row.movement
+        angles = (own.range_error, *own.limits, *own.range_limits)
+        degrees = [float(np.degrees(angle)) for angle in angles]
+        cells.append((_name(row.angle), movement, 100 * own.nrmse, own.cmc, *degrees))
+    return Table("agreement", "Agreement", tuple(_AGREEMENT), tuple(_AGREEMENT.values()), cells, _AGREED)
+
+
 def published_table(rows: Sequence[AngleErrors]) -> Table:
     """Return published values, each beside ours of the same metric and joint angle over all movements."""
     ours = {row.angle: row for row in rows if row.movement == ALL}
@@ -208,6 +230,13 @@ def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
         {"angle": row.angle, "movement": row.movement, "takes": row.takes, "samples": row.samples}
         | {f"{name}_deg": float(np.degrees(getattr(row, name))) for name in metrics}
         | {"within_95_share": row.within if np.isfinite(row.within) else None}
+        | {"nrmse_share": number(row.agreement.nrmse), "cmc": number(row.agreement.cmc)}
+        | {"range_error_deg": number(np.degrees(row.agreement.range_error))}
+        | {
+            f"{of}{name}_deg": number(np.degrees(value))
+            for of, limits in (("", row.agreement.limits), ("range_", row.agreement.range_limits))
+            for name, value in zip(("bias", "limit_low", "limit_high"), limits, strict=True)
+        }
         for row in rows
     ]
 

@@ -55,7 +55,11 @@ SETS: Final = {one.name: one for one in (OpenCapValidation, Vidimu, Movi, Gaitex
 CAMERAS: Final = ("set", "unknown")  #: The set's calibration, or none, as of a phone that was put anywhere
 TAKES: Final = "angle_errors_by_take.csv"
 _WITH_SENSORS: Final = ("sf2", "rtof", "imu")
-_DIFFERENCE, _SIGMA = "difference ", "sigma "  #: Arrays of a result, before the name of the angle
+_DIFFERENCE, _SIGMA, _REFERENCE = (
+    "difference ",
+    "sigma ",
+    "reference ",
+)  #: Arrays of a result, before the name of the angle
 
 
 @dataclass(frozen=True)
@@ -171,7 +175,9 @@ def differences(outcome: Outcome) -> tuple[AngleDifferences, ...]:
         for name, difference in arrays.items():
             if name.startswith(_DIFFERENCE):
                 angle = name.removeprefix(_DIFFERENCE)
-                found.append(AngleDifferences(angle, facts["kind"], key, difference, arrays.get(_SIGMA + angle)))
+                sigma, reference = arrays.get(_SIGMA + angle), arrays.get(_REFERENCE + angle)
+                person = facts["subject"]
+                found.append(AngleDifferences(angle, facts["kind"], key, difference, sigma, reference, person))
     return tuple(found)
 
 
@@ -252,6 +258,7 @@ def compared_with(
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"{take.key}: no angle is in the motion and the reference at the same time ({why})")
     arrays = {_DIFFERENCE + one.angle: one.difference for one in found}
+    arrays |= {_REFERENCE + one.angle: one.reference for one in found if one.reference is not None}
     arrays |= {_SIGMA + one.angle: one.sigma for one in found if one.sigma is not None}
     facts = {"reference": truth.source, "of_sensors": truth.of_sensors, "clock": clock, "left_out": left_out}
     return facts | {"methods": {"angles": {one.angle: len(one.difference) for one in found}}}, arrays

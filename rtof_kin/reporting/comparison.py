@@ -408,8 +408,8 @@ def _band_cautions(found: Comparison) -> list[str]:
 
 _DIFFERENCES: Final = ("angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B")
 _ERRORS: Final = (
-    *("angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation"),
-    *("outside band", "compared"),
+    *("angle", "RMSE", "MAE", "median", "without offset", "NRMSE", "range error", "bias", "limits of agreement"),
+    *("largest", "at", "correlation", "CMC", "outside band", "compared"),
 )
 _ABOUT_DIFFERENCES: Final = Markup(
     '<p class="note">Degrees. Mean angle, and range of motion, of A and B; their difference with the 95 % interval of '
@@ -419,7 +419,10 @@ _ABOUT_DIFFERENCES: Final = Markup(
 ).format(100 * LEVEL)
 _ABOUT_ERRORS: Final = Markup(
     '<p class="note">Degrees, of B - A over the samples that are observed and reliable in both: root mean square, mean '
-    "and median of the size, root mean square without the mean difference, and the largest.</p>"
+    "and median of the size, root mean square without the mean difference, and the largest. NRMSE: of the range of A. "
+    "Range error: size of the difference of the ranges of both curves. Limits: bias &plusmn; 1.96 standard deviations "
+    "of the samples of this one comparison (Bland and Altman 1986). CMC: coefficient of multiple correlation (Ferrari "
+    "et al. 2010), in which offsets count; none where the curves differ more than they move.</p>"
 )
 _ABOUT_CURVES: Final = Markup(
     '<p class="note">Bands are 95 % intervals, each of its motion\'s confidence and of the spread between repeats; '
@@ -491,6 +494,12 @@ def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
         **{name: None if errors is None else deg(getattr(errors, field)) for name, field in _SIZES.items()},
         "largest_at": None if errors is None else number(errors.at),
         "correlation": None if errors is None else number(errors.correlation),
+        "nrmse_share": None if errors is None else number(errors.agreement.nrmse),
+        "cmc": None if errors is None else number(errors.agreement.cmc),
+        "range_error_deg": None if errors is None else deg(errors.agreement.range_error),
+        "bias_deg": None if errors is None else deg(errors.agreement.limits.bias),
+        "limit_low_deg": None if errors is None else deg(errors.agreement.limits.low),
+        "limit_high_deg": None if errors is None else deg(errors.agreement.limits.high),
         "outside_band_share": number(one.outside),
         "share": number(one.pair.share),
         "repeats_a": one.repeats[0],
@@ -526,15 +535,21 @@ def _change_cells(change: Change) -> tuple[Cell, ...]:
 def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     errors = one.errors
     assert errors is not None
+    agreed = errors.agreement
     share = f"{100 * one.pair.share:.0f} %"
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
         label(one.name),
         *map(degrees, (errors.rmse, errors.mae, errors.median, errors.offset_removed)),
+        f"{100 * agreed.nrmse:.0f} %" if agreed.nrmse == agreed.nrmse else "",
+        degrees(agreed.range_error),
+        degrees(agreed.limits.bias, True),
+        " to ".join(degrees(end, True) for end in agreed.limits[1:]) if agreed.limits.low < np.inf else "",
         degrees(errors.largest, True),
         f"{errors.at:.2f} s" if found.by == "time" else f"{100 * errors.at:.0f} %",
         fixed(errors.correlation, 2),
+        fixed(agreed.cmc, 2),
         f"{100 * one.outside:.0f} %" if one.outside == one.outside else "",
         share,
     )
