@@ -183,6 +183,41 @@ def human36m(
     _measure("human36m", root, output, json, overwrite=overwrite, workers=threads, **settings)
 
 
+@evaluate.command(name="validation")
+@command
+def own_validation(
+    folder: Path,
+    /,
+    *,
+    output: Output = Path("out/own_validation"),
+    protocol: bool = False,
+    markers: Annotated[MarkerSettings, Fields("marker_set marker_table marker_person up", group="Marker trials")],
+) -> int:
+    """Validation on people of your own, beside a reference.
+
+    FOLDER has trials.csv, a row for each trial: person, session, rater, trial, our result and its reference. OUT gets
+    the whole: errors by joint angle with limits of agreement, reliability between raters and sessions (ICC, SEM, MDC),
+    figures and a methods paragraph. Exit code 1: a trial failed.
+
+    Args:
+        folder: of the study
+        protocol: write the protocol to print and a trials.csv to fill into FOLDER, and stop
+    """
+    from rtof_kin.protocols.own_study import measure, report, write_protocol
+    from rtof_kin.protocols.tables import write_results
+    from rtof_kin.reporting.document import show
+
+    if protocol:
+        say("wrote " + ", ".join(map(str, write_protocol(folder))))
+        return 0
+    with progress() as update:
+        study = measure(folder, markers, partial(update, "comparing"))
+    found = report(study)
+    show(found, out)
+    say("wrote " + ", ".join(map(str, write_results(found, output))))
+    return int(bool(study.failed))
+
+
 def _angles_of(dataset: str) -> Callable[..., int]:
     """Return the command that evaluates one set with a reference of joint angles."""
 

@@ -6,8 +6,8 @@ cmc             coefficient of multiple correlation of waveforms measured at the
                 Posture 31, 2010): two systems, pooled over curves; offsets count; not a number where the systems
                 differ more than the curves move
 range error     difference of the ranges of motion of a curve
-limits          limits of agreement, bias -+ 1.96 s, s^2 the variance within groups (people) plus that between them
-                (Bland and Altman, Journal of Biopharmaceutical Statistics 17, 2007)
+limits          limits of agreement, bias -+ 1.96 s, s^2 the variance within people plus that between them (Bland and
+                Altman, Journal of Biopharmaceutical Statistics 17, 2007); none of a single known person
 ICC(2,1), (3,1)  intraclass correlations of single measures: two-way random, absolute agreement, and two-way mixed,
                 consistency (Shrout and Fleiss, Psychological Bulletin 86, 1979), by the package ``pingouin``
 SEM, MDC        root of the error mean square of the same analysis; 1.96 sqrt(2) SEM (Weir, Journal of Strength and
@@ -36,7 +36,7 @@ _STILL: Final = 1e-9  # [rad] range of a curve that does not move
 class Curve(NamedTuple):
     """Common samples of one angle in one trial, known throughout."""
 
-    group: str  #: Person, or trial where people are not known
+    group: str  #: Person; '' where people are not known
     reference: Array  #: (n,) rad
     difference: Array  #: (n,) rad, estimate - reference
 
@@ -75,12 +75,15 @@ def agreement_of(curves: Sequence[Curve]) -> Agreement:
     errors = ranges[:, 1] - ranges[:, 0]
     groups = list(dict.fromkeys(one.group for one in curves))
     own = [[k for k, one in enumerate(curves) if one.group == group] for group in groups]
+    parts = [[np.concatenate([curves[k].difference for k in index]) for index in own], [errors[index] for index in own]]
+    limits = [limits_of_agreement(part) for part in parts]
+    if len(groups) == 1 and groups[0]:  # the variance between people is not known
+        limits = [Limits(one.bias) for one in limits]
     return Agreement(
         float(np.mean(rmse / ranges[:, 0])) if ranges[:, 0].min() > _STILL else _NAN,
         multiple_correlation([(one.reference, one.reference + one.difference) for one in curves]),
         float(np.mean(np.abs(errors))),
-        limits_of_agreement(np.concatenate([curves[k].difference for k in index]) for index in own),
-        limits_of_agreement(errors[index] for index in own),
+        *limits,
     )
 
 

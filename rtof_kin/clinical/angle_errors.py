@@ -106,8 +106,8 @@ def angle_differences(
         difference = (pair.a.values - pair.b.values)[0]
         known = np.isfinite(difference)
         sigma = None if pair.a.sigma is None else pair.a.sigma[0][known]
-        reference = pair.b.values[0][known]
-        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma, reference))
+        own = pair.b.values[0][known]
+        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma, own))
     for name in set(chosen) - {one.angle for one in found}:
         left_out[name] = "no common instant is observed and reliable in both"
     return tuple(found), left_out
@@ -122,7 +122,7 @@ def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, move
     size = np.concatenate([np.abs(one.difference) for one in banded]) if banded else np.empty(0)
     sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
     stated = np.isfinite(sigma)
-    curves = [Curve(o.person or o.take, o.reference, o.difference) for o in own if o.reference is not None]
+    curves = [Curve(o.person, o.reference, o.difference) for o in own if o.reference is not None]
     return AngleErrors(
         angle,
         movement,

@@ -1,0 +1,364 @@
+"""Validation of one's own system on one's own people: raters and sessions beside a reference (docs/own_validation.md).
+
+A folder has ``trials.csv``, a row for each trial: person, session, rater, trial, motion (a result of this package) and
+reference (OpenSim's .mot or .sto, a marker trial, or another result; empty where there is none), paths below the
+folder. Errors are those of `rtof_kin.clinical.angle_errors`, with limits of agreement by person. Reliability is that of
+the range of motion of each angle in each trial by name: between raters in the first session, between sessions of the
+first rater.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+import rtof_kin
+from rtof_kin.body.motion_file import MotionReader, motion_path
+from rtof_kin.clinical.agreement import reliability
+from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, AngleErrors, angle_differences, error_rows
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
+from rtof_kin.clinical.range_of_motion import ranges_of_motion
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import some
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
+from rtof_kin.core.files.folder import check_new_file
+from rtof_kin.core.files.text import read_text
+from rtof_kin.datasets.public_sets import MOVEMENTS, Movement, kind_of, natural
+from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
+from rtof_kin.markers.settings import TRIALS, MarkerSettings
+from rtof_kin.markers.trials import motion_of_markers
+from rtof_kin.protocols.angles import HARDLY, angle_document, clock_shift
+from rtof_kin.protocols.tables import Table
+from rtof_kin.reporting import document
+from rtof_kin.reporting.angle_names import label
+from rtof_kin.reporting.document import Document, Figure, Section, label_panel, subplots
+from rtof_kin.reporting.figures import ESTIMATE, TRUTH
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+INDEX: Final = "trials.csv"
+COLUMNS: Final = ("person", "session", "rater", "trial", "motion", "reference")
+_KINDS: Final[dict[str, Movement]] = {"walk": "walk", "squat": "squat", "sit": "sit-to-stand", "arm": "arms"}
+_REACH: Final = {suffix: 1.0 for suffix in SUFFIXES}  # [s] of clocks that begin together; others may differ by any time
+_PANELS: Final = 3
+_OF: Final = ("raters", "sessions")
+_TEXTS: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A row of the index."""
+
+    person: str
+    session: str
+    rater: str
+    trial: str
+    motion: Path
+    reference: Path | None
+
+    @property
+    def key(self) -> str:
+        """Name in all output."""
+        return f"{self.person} session {self.session} rater {self.rater} {self.trial}"
+
+
+@dataclass
+class Study:
+    """What was measured of each trial."""
+
+    trials: tuple[Trial, ...]
+    differences: list[AngleDifferences] = field(default_factory=list)
+    ranges: dict[tuple[Trial, str], float] = field(default_factory=dict)  #: Trial and angle -> rad, of the estimate
+    clocks: dict[str, str] = field(default_factory=dict)  #: Trial -> how its reference was put on its clock
+    failed: dict[str, str] = field(default_factory=dict)  #: Trial -> why
+
+    def names(self, column: str, measured: bool = True) -> list[str]:
+        """Return the people, sessions, raters or trials, of the trials that were measured or of all."""
+        own = [one for one in self.trials if not (measured and one.key in self.failed)]
+        return sorted({getattr(one, column) for one in own}, key=natural)
+
+
+def read_index(folder: Path) -> tuple[Trial, ...]:
+    """Read ``trials.csv``; `FileFormatError`: there is none, a column or a cell is missing, or a row occurs twice."""
+    path = folder / INDEX
+    text = read_text(path, f"a table with the columns {', '.join(COLUMNS)}; --protocol writes one")
+    trials: dict[str, Trial] = {}
+    for line, row in enumerate(csv.DictReader(text.splitlines()), 2):
+        cells = {name: (row.get(name) or "").strip() for name in COLUMNS}
+        if empty := [name for name in COLUMNS[:-1] if not cells[name]]:
+            raise FileFormatError(path, f"no {', '.join(empty)}; expected the columns {', '.join(COLUMNS)}", line)
+        reference = folder / cells["reference"] if cells["reference"] else None
+        one = Trial(*(cells[name] for name in COLUMNS[:4]), folder / cells["motion"], reference)
+        if one.key in trials:
+            raise FileFormatError(path, f"{one.key} occurs twice; give each repeat a name of its own", line)
+        trials[one.key] = one
+    if not trials:
+        raise FileFormatError(path, "no trial below the header")
+    return tuple(trials.values())
+
+
+def measure(
+    folder: Path, markers: MarkerSettings | None = None, progress: Callable[[int, int], None] | None = None
+) -> Study:
+    """Compare all trials of a folder; one that fails is kept with its reason.
+
+    Raises:
+        FileFormatError: of the index. InvalidInputError: no trial could be measured.
+    """
+    study = Study(read_index(folder))
+    for number, one in enumerate(study.trials):
+        try:
+            _measure(study, one, markers)
+        except RtofError as error:
+            study.failed[one.key] = str(error)
+        if progress is not None:
+            progress(number + 1, len(study.trials))
+    if len(study.failed) == len(study.trials):
+        raise InvalidInputError(
+            f"{folder}: no trial could be measured; first of all: {study.failed[study.trials[0].key]}"
+        )
+    return study
+
+
+def _measure(study: Study, one: Trial, markers: MarkerSettings | None) -> None:
+    estimate = _angles(one.motion, markers)
+    if one.reference is not None:
+        reference = _angles(one.reference, markers)
+        clock = clock_shift(estimate, reference, reference.names, _REACH.get(one.reference.suffix.lower(), np.inf))
+        kind = kind_of(one.trial, _KINDS)
+        found, _ = angle_differences(estimate, reference, kind, one.key, shift=clock["shift_s"])
+        if not found:
+            raise InvalidInputError(f"{one.reference}: no angle is in it and in the motion at the same time")
+        study.differences += [replace(own, person=one.person) for own in found]
+        study.clocks[one.key] = f"{clock['shift_s']:+.3f} s, {clock['how']}"
+    for row in ranges_of_motion(estimate):
+        if row.is_comparable and not row.name.startswith("pelvis_opensim"):
+            study.ranges[one, row.name] = row.range
+
+
+def _angles(path: Path, markers: MarkerSettings | None) -> ClinicalAngles:
+    if path.suffix.lower() in SUFFIXES:
+        return opensim_angles(read_opensim_table(path))[0]
+    if path.suffix.lower() in TRIALS:
+        return clinical_angles(motion_of_markers(path, markers).motion)
+    with MotionReader(motion_path(path)) as reader:
+        return clinical_angles(reader.read())
+
+
+def reliability_table(study: Study) -> tuple[Table, set[str]]:
+    """Return the reliability of each angle in each trial by name, and why some values are missing.
+
+    Raises:
+        MissingPackageError: pingouin is not installed.
+    """
+    people, sessions, raters = (study.names(column) for column in ("person", "session", "rater"))
+    at = {(one.person, one.session, one.rater, one.trial, name): v for (one, name), v in study.ranges.items()}
+    rows, missing = list[tuple[str | float, ...]](), set[str]()
+    for trial, name in product(study.names("trial"), dict.fromkeys(name for _, name in study.ranges)):
+        between = np.array([[at.get((p, sessions[0], r, trial, name), np.nan) for r in raters] for p in people])
+        over = np.array([[at.get((p, s, raters[0], trial, name), np.nan) for s in sessions] for p in people])
+        if np.isfinite(between).any() or np.isfinite(over).any():
+            pair = reliability(between, "ICC(2,1)"), reliability(over, "ICC(3,1)")
+            values = [value for own in pair for value in (own.people, own.icc, own.low, own.high)]
+            rows.append((trial, label(name), *values, *np.degrees([pair[1].sem, pair[1].mdc]).tolist()))
+            missing |= {f"{of}: {own.why_not}" for of, own in zip(_OF, pair, strict=True) if own.why_not}
+    columns = ("trial", "angle", "people", "ICC(2,1) raters", "low", "high")
+    columns += ("people ", "ICC(3,1) sessions", "low ", "high ", "SEM [deg]", "MDC [deg]")
+    note = "Of the range of motion in a trial. '-': not computed. SEM and MDC: between sessions."
+    digits = (0, 0, 0, 2, 2, 2, 0, 2, 2, 2, 1, 1)
+    return Table("reliability", "Reliability, with 95 % intervals", columns, digits, rows, [note]), missing
+
+
+# --- the document --------------------------------------------------------------------------------
+
+
+def report(study: Study) -> Document:
+    """Return the tables, figures and methods; what is missing stands in the first line."""
+    rows = error_rows(study.differences, MOVEMENTS) if study.differences else ()
+    cautions, text, tables = list(_cautions(study)), methods(study), list[Table]()
+    try:
+        table, missing = reliability_table(study)
+        tables.append(table)
+        cautions += [f"no reliability between {why}" for why in sorted(missing)]
+    except MissingPackageError as missing_package:
+        cautions.append(f"reliability is left out: {missing_package}")
+    failed = {key: f"FAILED: {why}" for key, why in study.failed.items()}
+    trials = [(one.key, (study.clocks | failed).get(one.key, "no reference")) for one in study.trials]
+    tables.append(Table("trials", "Trials", ("trial", "clock of the reference, or why it failed"), (0, 0), trials))
+    base = angle_document(
+        rows,
+        f"Errors of {len(study.names('person'))} people",
+        _first_line(study),
+        further=tables,
+        facts={"methods": text, "failed": study.failed},
+        files={f"{one.name}.csv": one for one in tables},
+        alarm=bool(study.failed) or "IN DOUBT" in _first_line(study),
+    )
+    drawn = [
+        Figure("figures/bland_altman", "Bland-Altman plots of ranges of motion", partial(_bland_altman, study, rows)),
+        Figure("figures/curves", "Curves of the trial with the median error", partial(_curves, study)),
+    ]
+    figures = [*base.figures, *(drawn if rows else ())]
+    sections = [Section("methods", "Methods", text.split("\n\n")), *base.sections, Section("figures", "", figures[1:])]
+    printed = [*base.printed, text]
+    return replace(base, title="Validation", cautions=cautions, figures=figures, sections=sections, printed=printed)
+
+
+def _counts(study: Study) -> str:
+    nouns = (("person", "people"), ("session", "sessions"), ("rater", "raters"))
+    counted = [(len(study.names(column)), column, plural) for column, plural in nouns]
+    return ", ".join(f"{count} {one if count == 1 else many}" for count, one, many in counted)
+
+
+def _first_line(study: Study) -> str:
+    done = len(study.trials) - len(study.failed)
+    text = f"Validation of {_counts(study)}: {done} of {len(study.trials)} trials measured"
+    if study.failed:
+        named = some([f"{key}: {why}" for key, why in study.failed.items()], 3, "; ")
+        text += f", {len(study.failed)} FAILED and are in no value below ({named})"
+    if gone := [name for name in study.names("person", False) if name not in study.names("person")]:
+        text += f"; WITHOUT {', '.join(gone)}, of whom no trial was measured"
+    every = [study.names(column, False) for column in COLUMNS[:4]]
+    if missing := int(np.prod([len(names) for names in every])) - len(study.trials):
+        text += f"; {missing} combinations of person, session, rater and trial are not in {INDEX}"
+    if alone := sum(one.reference is None for one in study.trials):
+        text += f"; {alone} trials have no reference and are in no error"
+    if doubts := [key for key, how in study.clocks.items() if HARDLY in how]:
+        text += f". IN DOUBT: in {len(doubts)} trials {HARDLY}: {some(doubts, 5)}"
+    return text + "."
+
+
+def _cautions(study: Study) -> Iterator[str]:
+    names = {one.angle for one in study.differences} | {name for _, name in study.ranges}
+    other = {f"{a}_": f"{b}_" for a, b in (SIDES, SIDES[::-1])}
+    sides = ((name, side) for name in sorted(names) for side in other if name.startswith(side))
+    if alone := [name for name, side in sides if name.replace(side, other[side], 1) not in names]:
+        yield f"one side alone was measured: {', '.join(map(label, alone))}"
+    if len({one.person for one in study.differences}) < 2:
+        yield "limits of agreement are not shown: they need the differences of two people"
+    if 1 < len(study.names("person")) < 10:
+        yield f"{len(study.names('person'))} people: intervals are wide, and limits hold for people like these"
+
+
+def _reference_kind(path: Path) -> str:
+    kinds = dict.fromkeys(SUFFIXES, "OpenSim coordinates") | dict.fromkeys(TRIALS, "optical markers")
+    return kinds.get(path.suffix.lower(), "another result of the same software")
+
+
+def methods(study: Study) -> str:
+    """Return a methods paragraph and its references, for a manuscript."""
+    used = [one for one in study.trials if one.key not in study.failed]
+    kinds = Counter(_reference_kind(one.reference) for one in used if one.reference is not None)
+    sessions, raters = study.names("session"), study.names("rater")
+    try:
+        pingouin = f"pingouin {version('pingouin')}"
+    except ImportError:
+        pingouin = "pingouin, which was not installed, so that they are missing"
+    text: str = _TEXTS["methods"].format(
+        counts=_counts(study),
+        trials=", ".join(study.names("trial")),
+        used=len(used),
+        planned=len(study.trials),
+        version=rtof_kin.__version__,
+        references=", ".join(f"{kind} ({count} trials)" for kind, count in kinds.items()) or "none",
+        raters=", ".join(raters),
+        rater=raters[0],
+        sessions=", ".join(sessions),
+        session=sessions[0],
+        pingouin=pingouin,
+    )
+    return text.strip()
+
+
+def _panels(study: Study) -> Iterator[tuple[str, list[AngleDifferences]]]:
+    for name in dict.fromkeys(one.joint_angle for one in study.differences):
+        yield name, [one for one in study.differences if one.joint_angle == name]
+
+
+def _grid(panels: list[Any]) -> tuple[Plot, Iterator[Any]]:
+    height = -(-len(panels) // _PANELS)
+    figure, axes = subplots(height, _PANELS, (11, 2.7 * height))
+    for ax in axes.flat[len(panels) :]:
+        ax.set_visible(False)
+    return figure, iter(axes.flat)
+
+
+def _ends(one: AngleDifferences) -> tuple[Array, Array]:
+    """Estimate and reference, deg."""
+    assert one.reference is not None
+    return np.degrees(one.reference + one.difference), np.degrees(one.reference)
+
+
+def _bland_altman(study: Study, rows: tuple[AngleErrors, ...]) -> Plot:
+    """Plot the difference of ranges of motion over their mean, by person, with bias and limits."""
+    panels, people = list(_panels(study)), study.names("person")
+    figure, axes = _grid(panels)
+    limits = {row.angle: np.degrees(row.agreement.range_limits) for row in rows if row.movement == ALL}
+    for ax, (name, own) in zip(axes, panels, strict=False):
+        for k, person in enumerate(people):
+            both = np.array([[np.ptp(end) for end in _ends(one)] for one in own if one.person == person]).reshape(-1, 2)
+            ax.plot(both.mean(axis=1), both[:, 0] - both[:, 1], "o", ms=4, alpha=0.7, color=f"C{k % 10}", label=person)
+        for value, style in zip(limits[name], ("-", "--", "--"), strict=True):
+            if np.isfinite(value):
+                ax.axhline(value, color="0.3", lw=0.9, ls=style)
+        label_panel(ax, label(name), "difference [deg]", "mean of both ranges [deg]")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=10, fontsize=7, frameon=False)
+    figure.suptitle("Range of motion, estimate - reference: bias and limits of agreement")
+    return figure
+
+
+def _curves(study: Study) -> Plot:
+    """Plot estimate and reference of each joint angle in the trial and side with the median error."""
+    panels = list(_panels(study))
+    figure, axes = _grid(panels)
+    for ax, (_, own) in zip(axes, panels, strict=False):
+        ordered = sorted(own, key=lambda one: float(np.mean(one.difference**2)))
+        one = ordered[(len(ordered) - 1) // 2]
+        for values, colour, text in zip(_ends(one), (ESTIMATE, TRUTH), ("estimate", "reference"), strict=True):
+            ax.plot(values, color=colour, lw=1.1, label=text)
+        label_panel(ax, f"{label(one.angle)}\n{one.take}", "[deg]", "common sample")
+    figure.axes[0].legend(fontsize=7)
+    figure.suptitle("The trial with the median error of each joint angle")
+    return figure
+
+
+# --- the protocol to print -----------------------------------------------------------------------
+
+
+def write_protocol(folder: Path) -> list[Path]:
+    """Write the protocol to print, and an index of its trials; `OutputExistsError` where there is one."""
+    check_new_file(folder / INDEX, False)
+    what: dict[str, str] = _TEXTS["trials"]
+    visits = list(product([f"P{k:02d}" for k in range(1, 11)], "12", "AB"))
+    rows = [
+        (*one, *("/".join(one) + end for end in ("", "/reference.mot")))
+        for one in ((*v, name) for v in visits for name in what)
+    ]
+    sheet = document.Table((*COLUMNS[:3], *map(label, what)), [(*one, *[""] * len(what)) for one in visits])
+    page = Document(
+        "protocol",
+        "Validate yourself in an afternoon",
+        "Ten people, two raters, two sessions, three speeds of walking, squat, sit-to-stand: "
+        f"{len(rows)} trials of half a minute.",
+        sections=[
+            Section("steps", "Steps", [tuple(_TEXTS["steps"])]),
+            Section("trials", "Trials", [{label(name): text for name, text in what.items()}]),
+            Section("sheet", "Record sheet: tick, or note why not", [sheet]),
+        ],
+        tables={INDEX: document.Table(COLUMNS, rows)},
+        facts=None,
+    )
+    return document.write_files(page, folder)
