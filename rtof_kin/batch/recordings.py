@@ -7,9 +7,7 @@ folder), and columns named like commands of the chain, with more options of that
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import os
 import re
 import shlex
@@ -21,7 +19,7 @@ from typing import Final
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.manifest import fingerprint
-from rtof_kin.core.files.text import read_text
+from rtof_kin.core.files.text import csv_rows
 
 INDEX: Final = "recording.toml"  #: File that makes a folder a recording
 _OWN_COLUMNS: Final = ("recording", "name")
@@ -72,7 +70,11 @@ def find_recordings(source: Path, out: Path) -> list[Entry]:
     """
     if not source.exists():
         raise FileFormatError(source, "there is no such folder or manifest")
-    entries = list(_below(source, out.resolve()) if source.is_dir() else _listed(source))
+    if source.is_dir():
+        entries = list(_below(source, out.resolve()))
+    else:
+        rows = csv_rows(source, "a manifest; its first line names the columns", ("recording",))
+        entries = [_entry(source, line, row) for line, row in rows]
     if not entries:
         raise InvalidInputError(f"{source}: no recordings; each is a folder with {INDEX}")
     entries.sort(key=lambda entry: entry.name.split("/"))
@@ -94,23 +96,6 @@ def _below(root: Path, out: Path) -> Iterator[Entry]:
                 yield Entry(folder.relative_to(root).as_posix(), folder)
             if found or not own:
                 folders.remove(name)
-
-
-def _listed(manifest: Path) -> Iterator[Entry]:
-    text = read_text(manifest, "a manifest; its first line names the columns")
-    lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    try:
-        names = [name.strip() for name in lines.fieldnames or ()]
-        if "recording" not in names or len(set(names)) < len(names):
-            raise FileFormatError(manifest, "one column is named recording, and each name stands once", 1)
-        lines.fieldnames = names
-        for row in lines:
-            if None in row or None in row.values():
-                raise FileFormatError(manifest, f"not {len(names)} cells, as the header has columns", lines.line_num)
-            if any(map(str.strip, row.values())):
-                yield _entry(manifest, lines.line_num, {name: cell.strip() for name, cell in row.items()})
-    except csv.Error as error:
-        raise FileFormatError(manifest, f"not a readable CSV file: {error}") from error
 
 
 def _entry(manifest: Path, line: int, row: Mapping[str, str]) -> Entry:

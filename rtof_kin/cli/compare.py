@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -176,8 +177,10 @@ def gait_reference(
     /,
     *,
     output: File,
-    licence: Annotated[str, Parameter(metavar="TEXT")],
-    origin: Annotated[str, Parameter(metavar="TEXT")],
+    licence: Annotated[str, Parameter(metavar="TEXT")] = "",
+    origin: Annotated[str, Parameter(metavar="TEXT")] = "",
+    of_set: Annotated[str, Parameter(name="--set", metavar="NAME", group="Of a public set")] = "",
+    up: Annotated[str | None, Parameter(group="Of a public set")] = None,
     strides: Annotated[int, Parameter(metavar="N", group="Of recordings")] = 3,
     from_standing: Annotated[bool, Parameter(group="Of recordings")] = False,
     people: Annotated[int | None, Parameter(metavar="N", group="Of a table")] = None,
@@ -191,25 +194,31 @@ def gait_reference(
 
     SOURCE is a folder of recordings of healthy people, outputs of reconstruct, run or batch: each person counts once,
     by the subject of the session. Or it is a CSV table of a published normal set, with the columns variable, percent,
-    mean and sd in degrees. FILE is JSON. Who is left out is said, with the reason.
+    mean and sd in degrees. Or, with --set, a folder into which a public set was unpacked, whose licence and citation
+    are then in the reference: fukuchi2018 and schreiber2019 (markers), fukuchi2018-angles and lencioni2019 (angles of
+    their authors). FILE is JSON. Who is left out is said, with the reason.
 
     Args:
         source: folder of recordings, or CSV table
-        licence: terms of use of the reference
-        origin: who was recorded, where and how; or a citation
+        licence: terms of use of the reference; required but for a public set
+        origin: who was recorded, where and how, or a citation; required but for a public set
+        of_set: name of the public set
+        up: axis of its C3D files that points up; default: the one that they declare
         strides: of each side that a person needs
         from_standing: angles of trunk and legs relative to each person's quiet standing
         people: number of people
         system: what measured it, with its model
         zero: posture in which its angles are 0
-        walking_speed: slowest and fastest walking speed, m/s
+        walking_speed: slowest and fastest walking speed, m/s; of lencioni2019, of the trials that count
         negate: variables with the opposite sign, separated by commas
     """
     from rtof_kin.formats.gait_reference import read_gait_reference_table, write_gait_reference
 
     check_new_file(output, overwrite)
     table: dict[str, Any] = {"--people": people, "--system": system, "--zero": zero}
-    if source.is_file():
+    if not of_set and not (licence and origin):
+        raise InvalidInputError("gait-reference: --licence and --origin are missing; only a --set has its own")
+    if source.is_file() and not of_set:
         if absent := [name for name, value in table.items() if not value]:
             raise InvalidInputError(f"gait-reference: a table needs {', '.join(absent)} too")
         reference = read_gait_reference_table(
@@ -223,13 +232,30 @@ def gait_reference(
             speed_range=walking_speed,
         )
     else:
-        table |= {"--walking-speed": walking_speed, "--negate": negate}
+        table |= {"--negate": negate}
+        table |= {"--licence": licence, "--origin": origin} if of_set else {"--walking-speed": walking_speed}
         if given := [name for name, value in table.items() if value]:
-            raise InvalidInputError(f"gait-reference: {', '.join(given)} is for a table, not for recordings")
-        reference = _from_recordings(source, licence, origin, strides, from_standing)
+            raise InvalidInputError(f"gait-reference: {', '.join(given)} is for a table, not for recordings or a set")
+        if of_set:
+            reference = _from_set(of_set, source, strides, walking_speed, up)
+        else:
+            reference = _from_recordings(source, licence, origin, strides, from_standing)
     _print_reference(reference)
     write_gait_reference(output, reference, overwrite)
     say(f"wrote {output}")
+
+
+def _from_set(
+    name: str, source: Path, strides: int, speeds: tuple[float, float] | None, up: str | None
+) -> GaitReference:
+    """Reference from a public set; says who is left out, and why."""
+    from rtof_kin.reporting.gait_sets import read_gait_set
+
+    with progress() as update:
+        reference, left_out = read_gait_set(name, source, strides, speeds, up, partial(update, "reading people"))
+    for code, reason in left_out.items():
+        say(f"left out: {code}: {reason}", "yellow")
+    return reference
 
 
 def _from_recordings(source: Path, licence: str, origin: str, strides: int, from_standing: bool) -> GaitReference:

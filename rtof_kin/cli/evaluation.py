@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from functools import partial
@@ -268,12 +267,12 @@ def _angles_of(dataset: str) -> Callable[..., int]:
 
 def _heights(path: Path) -> dict[str, float]:
     """Return the height, m, of each subject."""
-    from rtof_kin.core.files.text import read_text
+    from rtof_kin.core.files.text import csv_rows
 
-    rows = list(csv.DictReader(read_text(path, "a CSV with the columns subject,height_m").splitlines()))
+    rows = csv_rows(path, "a CSV with the columns subject,height_m", ("subject", "height_m"))
     try:
-        found = {row["subject"].strip(): float(row["height_m"]) for row in rows}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        found = {row["subject"]: float(row["height_m"]) for _, row in rows}
+    except ValueError as error:
         raise FileFormatError(path, "expected the columns subject,height_m and a number in each row") from error
     for subject, height in found.items():
         if not 0.4 < height < 2.6:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -41,26 +40,24 @@ class Curve(NamedTuple):
     difference: Array  #: (n,) rad, estimate - reference
 
 
-class Limits(NamedTuple):
-    """Bias and limits of agreement."""
-
-    bias: float = _NAN
-    low: float = _NAN
-    high: float = _NAN
-
-
-_NO_LIMITS: Final = Limits()
-
-
-@dataclass(frozen=True)
-class Agreement:
+class Agreement(NamedTuple):
     """Agreement of curves, rad; NaN where a value cannot be computed."""
 
     nrmse: float = _NAN  #: Share of the range of the reference
     cmc: float = _NAN
     range_error: float = _NAN  #: Mean size of the difference of ranges of motion
-    limits: Limits = _NO_LIMITS  #: Of the angle, over samples
-    range_limits: Limits = _NO_LIMITS  #: Of the range of motion, over curves
+    bias: float = _NAN  #: Of the angle, with limits over samples
+    limit_low: float = _NAN
+    limit_high: float = _NAN
+    range_bias: float = _NAN  #: Of the range of motion, with limits over curves
+    range_limit_low: float = _NAN
+    range_limit_high: float = _NAN
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Values by names with units, angles in degrees."""
+        angles = list(self._asdict().items())[2:]
+        return {"nrmse_share": self.nrmse, "cmc": self.cmc} | {f"{k}_deg": float(np.degrees(v)) for k, v in angles}
 
 
 NO_AGREEMENT: Final = Agreement()
@@ -78,12 +75,13 @@ def agreement_of(curves: Sequence[Curve]) -> Agreement:
     parts = [[np.concatenate([curves[k].difference for k in index]) for index in own], [errors[index] for index in own]]
     limits = [limits_of_agreement(part) for part in parts]
     if len(groups) == 1 and groups[0]:  # the variance between people is not known
-        limits = [Limits(one.bias) for one in limits]
+        limits = [(bias, _NAN, _NAN) for bias, _, _ in limits]
     return Agreement(
         float(np.mean(rmse / ranges[:, 0])) if ranges[:, 0].min() > _STILL else _NAN,
         multiple_correlation([(one.reference, one.reference + one.difference) for one in curves]),
         float(np.mean(np.abs(errors))),
-        *limits,
+        *limits[0],
+        *limits[1],
     )
 
 
@@ -101,13 +99,13 @@ def multiple_correlation(pairs: Iterable[tuple[Array, Array]]) -> float:
     return float(np.sqrt(share)) if share >= 0 else _NAN
 
 
-def limits_of_agreement(groups: Iterable[Array]) -> Limits:
-    """Return the limits of differences (n,) by group; of one group, those of its own spread alone."""
+def limits_of_agreement(groups: Iterable[Array]) -> tuple[float, float, float]:
+    """Return bias, lower and upper limit of differences (n,) by group; of one group, by its own spread alone."""
     own = [one for one in groups if len(one)]
     d = np.concatenate(own)
     n, bias = len(d), float(np.mean(d))
     if n < 2:
-        return Limits(bias)
+        return bias, _NAN, _NAN
     variance = float(np.var(d, ddof=1))
     if 1 < len(own) < n:
         sizes = np.array([len(one) for one in own])
@@ -117,25 +115,18 @@ def limits_of_agreement(groups: Iterable[Array]) -> Limits:
         repeats = (n - float(np.sum(sizes**2)) / n) / (len(own) - 1)
         variance = within + max(0.0, between - within) / repeats
     half = BAND_95 * float(np.sqrt(variance))
-    return Limits(bias, bias - half, bias + half)
+    return bias, bias - half, bias + half
 
 
-@dataclass(frozen=True)
-class Reliability:
+class Reliability(NamedTuple):
     """Reliability of a measure of people between raters or sessions; NaN where it is not computed."""
 
     people: int  #: With all repeats
-    repeats: int
     icc: float = _NAN
     low: float = _NAN  #: Lower end of the 95 % interval
     high: float = _NAN
-    sem: float = _NAN  #: Standard error of measurement, in the unit of the measure
+    sem: float = _NAN  #: In the unit of the measure
     why_not: str = ""  #: Phrase on why there is no value
-
-    @property
-    def mdc(self) -> float:
-        """Minimal detectable change of 95 %."""
-        return BAND_95 * float(np.sqrt(2)) * self.sem
 
 
 def reliability(values: Array, kind: Literal["ICC(2,1)", "ICC(3,1)"]) -> Reliability:
@@ -148,9 +139,9 @@ def reliability(values: Array, kind: Literal["ICC(2,1)", "ICC(3,1)"]) -> Reliabi
     people, repeats = known.shape
     if repeats < 2 or people < FEWEST:
         why = f"{people} people with all {repeats}; {FEWEST} are needed" if repeats > 1 else "one alone"
-        return Reliability(people, repeats, why_not=why)
+        return Reliability(people, why_not=why)
     if np.ptp(known) < _STILL:
-        return Reliability(people, repeats, why_not="everyone has the same value")
+        return Reliability(people, why_not="everyone has the same value")
     pingouin = optional("pingouin", "clinical", "an intraclass correlation")
     pandas = optional("pandas", "clinical", "an intraclass correlation")
     person, repeat = np.indices(known.shape)
@@ -162,4 +153,4 @@ def reliability(values: Array, kind: Literal["ICC(2,1)", "ICC(3,1)"]) -> Reliabi
     low, high = np.asarray(row.filter(like="CI95").iloc[0], dtype=float)
     rest = known - known.mean(axis=1, keepdims=True) - known.mean(axis=0) + known.mean()
     sem = float(np.sqrt(np.sum(rest**2) / ((people - 1) * (repeats - 1))))
-    return Reliability(people, repeats, float(row["ICC"]), float(low), float(high), sem)
+    return Reliability(people, float(row["ICC"]), float(low), float(high), sem)

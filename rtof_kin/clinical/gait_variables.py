@@ -92,12 +92,13 @@ def joined_cycles(parts: Sequence[GaitCycles]) -> GaitCycles:
     )
 
 
-def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -> GaitCycles:
+def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False, few: bool = False) -> GaitCycles:
     """Return the nine variables over the strides of a motion; none if it is no gait, with the reason.
 
     Args:
         motion: reconstructed; read in blocks.
         from_standing: whether angles are relative to the person's quiet standing.
+        few: whether a pass with one stride counts, as one of several of a person.
 
     Raises:
         InvalidInputError: no quiet standing, but `from_standing` is set.
@@ -108,7 +109,7 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -
     if from_standing:
         angles = relative_to_standing(angles, paths)
     gait = analyse_gait(gait_events(paths), angles)
-    strides, why_not, notes = _counted(gait)
+    strides, why_not, notes = _counted(gait, few)
     curves = np.full((len(strides), *SHAPE), np.nan)
     sigma = None if angles.sigma is None else np.full(curves.shape, np.nan)
     for side in SIDES:
@@ -129,9 +130,10 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -
     return GaitCycles(tuple(s.side for s in strides), curves, sigma, speeds, why_not, notes)
 
 
-def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:
+def _counted(gait: GaitAnalysis, few: bool) -> tuple[list[Stride], str, tuple[str, ...]]:
     """Straight strides of walking; why there are none; notes."""
-    if why_not := gait.why_not or gait.verdict.too_few:
+    why_not = gait.why_not or gait.verdict.too_few
+    if why_not and not (few and why_not == gait.verdict.too_few and gait.verdict.walking):
         return [], why_not, ()
     walking = gait.verdict.walking
     straight = [s for s in walking if abs(stride_shape(s, gait.events).turn) <= STRAIGHT]

@@ -28,8 +28,6 @@ from 0 to 100 % that are at most 5 % apart; others than the 51 of the scores are
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Collection, Iterator
@@ -43,7 +41,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Names, Number, Vector2
-from rtof_kin.core.files.text import load_json, read_text, write_text
+from rtof_kin.core.files.text import csv_rows, load_json, write_text
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE, VARIABLES, GaitReference
 
 FORMAT: Final = "gait reference"
@@ -216,26 +214,13 @@ def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = ()
 
 def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
     """Line, variable, per cent, mean and standard deviation of each row."""
-    text = read_text(path, "a table with the columns variable, percent, mean, sd", _LARGEST)
-    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    try:
-        header = reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or ()]
-        if not {*_COLUMNS[:3]} <= {*header} or len(set(header)) < len(header):
-            names = ", ".join(header)[:200]
-            problem = f"the first line names the columns {', '.join(_COLUMNS)}, each once; found {names}"
-            raise FileFormatError(path, problem, 1)
-        for row in reader:
-            if None in row or None in row.values():
-                raise FileFormatError(path, f"more or fewer cells than the {len(header)} columns", reader.line_num)
-            if not any(map(str.strip, row.values())):
-                continue
-            name = row["variable"].strip()
-            if name not in NAMES:
-                raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), reader.line_num)
-            percent, mean, sd = (_number(path, reader.line_num, column, row) for column in _COLUMNS[1:])
-            yield reader.line_num, name, percent, mean, sd
-    except csv.Error as error:
-        raise FileFormatError(path, f"not readable as CSV: {error}", reader.line_num) from error
+    what = "a table with the columns variable, percent, mean, sd"
+    for line, row in csv_rows(path, what, _COLUMNS[:3], _LARGEST):
+        name = row["variable"]
+        if name not in NAMES:
+            raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), line)
+        percent, mean, sd = (_number(path, line, column, row) for column in _COLUMNS[1:])
+        yield line, name, percent, mean, sd
 
 
 def _number(path: Path, line: int, column: str, row: dict[str, str]) -> float:

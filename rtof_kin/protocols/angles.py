@@ -198,10 +198,8 @@ def agreement_table(rows: Sequence[AngleErrors]) -> Table:
     """Return NRMSE, CMC, errors of the range of motion and limits of agreement."""
     cells: list[tuple[str | float | None, ...]] = []
     for row in rows:
-        own, movement = row.agreement, "all" if row.movement == ALL else row.movement
-        angles = (own.range_error, *own.limits, *own.range_limits)
-        degrees = [float(np.degrees(angle)) for angle in angles]
-        cells.append((_name(row.angle), movement, 100 * own.nrmse, own.cmc, *degrees))
+        own, movement = list(row.agreement.figures.values()), "all" if row.movement == ALL else row.movement
+        cells.append((_name(row.angle), movement, 100 * own[0], *own[1:]))
     return Table("agreement", "Agreement", tuple(_AGREEMENT), tuple(_AGREEMENT.values()), cells, _AGREED)
 
 
@@ -230,13 +228,7 @@ def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
         {"angle": row.angle, "movement": row.movement, "takes": row.takes, "samples": row.samples}
         | {f"{name}_deg": float(np.degrees(getattr(row, name))) for name in metrics}
         | {"within_95_share": row.within if np.isfinite(row.within) else None}
-        | {"nrmse_share": number(row.agreement.nrmse), "cmc": number(row.agreement.cmc)}
-        | {"range_error_deg": number(np.degrees(row.agreement.range_error))}
-        | {
-            f"{of}{name}_deg": number(np.degrees(value))
-            for of, limits in (("", row.agreement.limits), ("range_", row.agreement.range_limits))
-            for name, value in zip(("bias", "limit_low", "limit_high"), limits, strict=True)
-        }
+        | {name: number(value) for name, value in row.agreement.figures.items()}
         for row in rows
     ]
 

@@ -9,7 +9,6 @@ first rater.
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -18,14 +17,14 @@ from functools import partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 import rtof_kin
 from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.clinical.agreement import reliability
-from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, AngleErrors, angle_differences, error_rows
+from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, angle_differences, error_rows
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
@@ -33,7 +32,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
 from rtof_kin.core.files.folder import check_new_file
-from rtof_kin.core.files.text import read_text
+from rtof_kin.core.files.text import csv_rows, write_text
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.datasets.public_sets import MOVEMENTS, Movement, kind_of, natural
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.markers.settings import TRIALS, MarkerSettings
@@ -44,6 +44,7 @@ from rtof_kin.reporting import document
 from rtof_kin.reporting.angle_names import label
 from rtof_kin.reporting.document import Document, Figure, Section, label_panel, subplots
 from rtof_kin.reporting.figures import ESTIMATE, TRUTH
+from rtof_kin.reporting.html import render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -52,13 +53,11 @@ INDEX: Final = "trials.csv"
 COLUMNS: Final = ("person", "session", "rater", "trial", "motion", "reference")
 _KINDS: Final[dict[str, Movement]] = {"walk": "walk", "squat": "squat", "sit": "sit-to-stand", "arm": "arms"}
 _REACH: Final = {suffix: 1.0 for suffix in SUFFIXES}  # [s] of clocks that begin together; others may differ by any time
-_PANELS: Final = 3
-_OF: Final = ("raters", "sessions")
+_SOURCES: Final = dict.fromkeys(SUFFIXES, "OpenSim coordinates") | dict.fromkeys(TRIALS, "optical markers")
 _TEXTS: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
-@dataclass(frozen=True)
-class Trial:
+class Trial(NamedTuple):
     """A row of the index."""
 
     person: str
@@ -93,14 +92,13 @@ class Study:
 def read_index(folder: Path) -> tuple[Trial, ...]:
     """Read ``trials.csv``; `FileFormatError`: there is none, a column or a cell is missing, or a row occurs twice."""
     path = folder / INDEX
-    text = read_text(path, f"a table with the columns {', '.join(COLUMNS)}; --protocol writes one")
     trials: dict[str, Trial] = {}
-    for line, row in enumerate(csv.DictReader(text.splitlines()), 2):
-        cells = {name: (row.get(name) or "").strip() for name in COLUMNS}
+    for line, cells in csv_rows(path, f"a table with the columns {', '.join(COLUMNS)}; --protocol writes one", COLUMNS):
         if empty := [name for name in COLUMNS[:-1] if not cells[name]]:
-            raise FileFormatError(path, f"no {', '.join(empty)}; expected the columns {', '.join(COLUMNS)}", line)
+            raise FileFormatError(path, f"no {', '.join(empty)} in this row", line)
         reference = folder / cells["reference"] if cells["reference"] else None
-        one = Trial(*(cells[name] for name in COLUMNS[:4]), folder / cells["motion"], reference)
+        person, session, rater, trial = (cells[name] for name in COLUMNS[:4])
+        one = Trial(person, session, rater, trial, folder / cells["motion"], reference)
         if one.key in trials:
             raise FileFormatError(path, f"{one.key} occurs twice; give each repeat a name of its own", line)
         trials[one.key] = one
@@ -126,9 +124,8 @@ def measure(
         if progress is not None:
             progress(number + 1, len(study.trials))
     if len(study.failed) == len(study.trials):
-        raise InvalidInputError(
-            f"{folder}: no trial could be measured; first of all: {study.failed[study.trials[0].key]}"
-        )
+        first = next(iter(study.failed.values()))
+        raise InvalidInputError(f"{folder}: no trial could be measured; first of all: {first}")
     return study
 
 
@@ -172,11 +169,13 @@ def reliability_table(study: Study) -> tuple[Table, set[str]]:
         if np.isfinite(between).any() or np.isfinite(over).any():
             pair = reliability(between, "ICC(2,1)"), reliability(over, "ICC(3,1)")
             values = [value for own in pair for value in (own.people, own.icc, own.low, own.high)]
-            rows.append((trial, label(name), *values, *np.degrees([pair[1].sem, pair[1].mdc]).tolist()))
-            missing |= {f"{of}: {own.why_not}" for of, own in zip(_OF, pair, strict=True) if own.why_not}
-    columns = ("trial", "angle", "people", "ICC(2,1) raters", "low", "high")
-    columns += ("people ", "ICC(3,1) sessions", "low ", "high ", "SEM [deg]", "MDC [deg]")
-    note = "Of the range of motion in a trial. '-': not computed. SEM and MDC: between sessions."
+            rows.append((trial, label(name), *values, *(pair[1].sem * np.degrees([1, BAND_95 * np.sqrt(2)])).tolist()))
+            missing |= {
+                f"{of}: {own.why_not}" for of, own in zip(("raters", "sessions"), pair, strict=True) if own.why_not
+            }
+    names = [f"{icc} {name}".strip() for icc in ("ICC(2,1)", "ICC(3,1)") for name in ("people", "", "low", "high")]
+    columns = ("trial", "angle", *names, "SEM [deg]", "MDC [deg]")
+    note = "Of the range of motion in a trial: (2,1) between raters, the others between sessions. '-': not computed."
     digits = (0, 0, 0, 2, 2, 2, 0, 2, 2, 2, 1, 1)
     return Table("reliability", "Reliability, with 95 % intervals", columns, digits, rows, [note]), missing
 
@@ -187,16 +186,17 @@ def reliability_table(study: Study) -> tuple[Table, set[str]]:
 def report(study: Study) -> Document:
     """Return the tables, figures and methods; what is missing stands in the first line."""
     rows = error_rows(study.differences, MOVEMENTS) if study.differences else ()
-    cautions, text, tables = list(_cautions(study)), methods(study), list[Table]()
+    cautions, tables = list(_cautions(study)), list[Table]()
     try:
         table, missing = reliability_table(study)
         tables.append(table)
         cautions += [f"no reliability between {why}" for why in sorted(missing)]
     except MissingPackageError as missing_package:
         cautions.append(f"reliability is left out: {missing_package}")
+    text = methods(study) + ("\n\nNot as planned: " + "; ".join(cautions) + "." if cautions else "")
     failed = {key: f"FAILED: {why}" for key, why in study.failed.items()}
-    trials = [(one.key, (study.clocks | failed).get(one.key, "no reference")) for one in study.trials]
-    tables.append(Table("trials", "Trials", ("trial", "clock of the reference, or why it failed"), (0, 0), trials))
+    clocks = [(one.key, (study.clocks | failed).get(one.key, "no reference")) for one in study.trials]
+    tables.append(Table("trials", "Trials", ("trial", "clock of the reference, or why it failed"), (0, 0), clocks))
     base = angle_document(
         rows,
         f"Errors of {len(study.names('person'))} people",
@@ -206,13 +206,10 @@ def report(study: Study) -> Document:
         files={f"{one.name}.csv": one for one in tables},
         alarm=bool(study.failed) or "IN DOUBT" in _first_line(study),
     )
-    drawn = [
-        Figure("figures/bland_altman", "Bland-Altman plots of ranges of motion", partial(_bland_altman, study, rows)),
-        Figure("figures/curves", "Curves of the trial with the median error", partial(_curves, study)),
-    ]
-    figures = [*base.figures, *(drawn if rows else ())]
-    sections = [Section("methods", "Methods", text.split("\n\n")), *base.sections, Section("figures", "", figures[1:])]
-    printed = [*base.printed, text]
+    alt = "Bland-Altman plots of ranges of motion, and curves of the trial with the median error"
+    drawn = [Figure("figures/agreement", alt, partial(_figure, study))] if rows else []
+    sections = [Section("methods", "Methods", text.split("\n\n")), *base.sections, Section("figures", "", drawn)]
+    figures, printed = [*base.figures, *drawn], [*base.printed, text]
     return replace(base, title="Validation", cautions=cautions, figures=figures, sections=sections, printed=printed)
 
 
@@ -234,7 +231,7 @@ def _first_line(study: Study) -> str:
     if missing := int(np.prod([len(names) for names in every])) - len(study.trials):
         text += f"; {missing} combinations of person, session, rater and trial are not in {INDEX}"
     if alone := sum(one.reference is None for one in study.trials):
-        text += f"; {alone} trials have no reference and are in no error"
+        text += f"; without a reference, and in no error: {alone}"
     if doubts := [key for key, how in study.clocks.items() if HARDLY in how]:
         text += f". IN DOUBT: in {len(doubts)} trials {HARDLY}: {some(doubts, 5)}"
     return text + "."
@@ -252,87 +249,54 @@ def _cautions(study: Study) -> Iterator[str]:
         yield f"{len(study.names('person'))} people: intervals are wide, and limits hold for people like these"
 
 
-def _reference_kind(path: Path) -> str:
-    kinds = dict.fromkeys(SUFFIXES, "OpenSim coordinates") | dict.fromkeys(TRIALS, "optical markers")
-    return kinds.get(path.suffix.lower(), "another result of the same software")
-
-
 def methods(study: Study) -> str:
     """Return a methods paragraph and its references, for a manuscript."""
     used = [one for one in study.trials if one.key not in study.failed]
-    kinds = Counter(_reference_kind(one.reference) for one in used if one.reference is not None)
-    sessions, raters = study.names("session"), study.names("rater")
+    suffixes = [one.reference.suffix.lower() for one in used if one.reference is not None]
+    kinds = Counter(_SOURCES.get(suffix, "another result of the same software") for suffix in suffixes)
     try:
-        pingouin = f"pingouin {version('pingouin')}"
+        package = f"pingouin {version('pingouin')}"
     except ImportError:
-        pingouin = "pingouin, which was not installed, so that they are missing"
-    text: str = _TEXTS["methods"].format(
-        counts=_counts(study),
-        trials=", ".join(study.names("trial")),
-        used=len(used),
-        planned=len(study.trials),
-        version=rtof_kin.__version__,
-        references=", ".join(f"{kind} ({count} trials)" for kind, count in kinds.items()) or "none",
-        raters=", ".join(raters),
-        rater=raters[0],
-        sessions=", ".join(sessions),
-        session=sessions[0],
-        pingouin=pingouin,
-    )
+        package = "pingouin, which was not installed, so that they are missing"
+    counted = (_counts(study), ", ".join(study.names("trial")), len(used), len(study.trials), rtof_kin.__version__)
+    references = ", ".join(f"{kind} ({count} trials)" for kind, count in kinds.items()) or "none"
+    first = study.names("session")[0], study.names("rater")[0]
+    text: str = _TEXTS["methods"].format(*counted, references, *first, package)
     return text.strip()
 
 
-def _panels(study: Study) -> Iterator[tuple[str, list[AngleDifferences]]]:
-    for name in dict.fromkeys(one.joint_angle for one in study.differences):
-        yield name, [one for one in study.differences if one.joint_angle == name]
-
-
-def _grid(panels: list[Any]) -> tuple[Plot, Iterator[Any]]:
-    height = -(-len(panels) // _PANELS)
-    figure, axes = subplots(height, _PANELS, (11, 2.7 * height))
-    for ax in axes.flat[len(panels) :]:
-        ax.set_visible(False)
-    return figure, iter(axes.flat)
-
-
-def _ends(one: AngleDifferences) -> tuple[Array, Array]:
-    """Estimate and reference, deg."""
-    assert one.reference is not None
-    return np.degrees(one.reference + one.difference), np.degrees(one.reference)
-
-
-def _bland_altman(study: Study, rows: tuple[AngleErrors, ...]) -> Plot:
-    """Plot the difference of ranges of motion over their mean, by person, with bias and limits."""
-    panels, people = list(_panels(study)), study.names("person")
-    figure, axes = _grid(panels)
-    limits = {row.angle: np.degrees(row.agreement.range_limits) for row in rows if row.movement == ALL}
-    for ax, (name, own) in zip(axes, panels, strict=False):
-        for k, person in enumerate(people):
-            both = np.array([[np.ptp(end) for end in _ends(one)] for one in own if one.person == person]).reshape(-1, 2)
-            ax.plot(both.mean(axis=1), both[:, 0] - both[:, 1], "o", ms=4, alpha=0.7, color=f"C{k % 10}", label=person)
-        for value, style in zip(limits[name], ("-", "--", "--"), strict=True):
-            if np.isfinite(value):
-                ax.axhline(value, color="0.3", lw=0.9, ls=style)
-        label_panel(ax, label(name), "difference [deg]", "mean of both ranges [deg]")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=10, fontsize=7, frameon=False)
-    figure.suptitle("Range of motion, estimate - reference: bias and limits of agreement")
-    return figure
-
-
-def _curves(study: Study) -> Plot:
-    """Plot estimate and reference of each joint angle in the trial and side with the median error."""
-    panels = list(_panels(study))
-    figure, axes = _grid(panels)
-    for ax, (_, own) in zip(axes, panels, strict=False):
-        ordered = sorted(own, key=lambda one: float(np.mean(one.difference**2)))
-        one = ordered[(len(ordered) - 1) // 2]
+def _figure(study: Study) -> Plot:
+    """Draw each joint angle: difference of the ranges of motion over their mean, by person, with bias and limits; and
+    estimate and reference in the trial with the median error.
+    """
+    rows = {row.angle: row for row in error_rows(study.differences, MOVEMENTS) if row.movement == ALL}
+    names = [name for name in rows if name != ALL]
+    figure, axes = subplots(len(names), 2, (10, 2.6 * len(names)))
+    for (left, right), name in zip(axes, names, strict=True):
+        own = [one for one in study.differences if one.joint_angle == name]
+        for k, person in enumerate(study.names("person")):
+            pairs = [np.ptp(_ends(one), axis=1) for one in own if one.person == person]
+            estimate, reference = np.array(pairs).reshape(-1, 2).T
+            dots: Any = {"ms": 4, "alpha": 0.7, "color": f"C{k % 10}", "label": person}
+            left.plot((estimate + reference) / 2, estimate - reference, "o", **dots)
+        for value, style in zip(np.degrees(rows[name].agreement[-3:]), ("-", "--", "--"), strict=True):
+            left.axhline(value, color="0.3", lw=0.9, ls=style)  # nothing where it is not known
+        label_panel(left, f"{label(name)}: ranges of motion", "difference [deg]", "mean of both [deg]")
+        left.locator_params("x", nbins=6)
+        one = sorted(own, key=lambda one: float(np.mean(one.difference**2)))[(len(own) - 1) // 2]
         for values, colour, text in zip(_ends(one), (ESTIMATE, TRUTH), ("estimate", "reference"), strict=True):
-            ax.plot(values, color=colour, lw=1.1, label=text)
-        label_panel(ax, f"{label(one.angle)}\n{one.take}", "[deg]", "common sample")
-    figure.axes[0].legend(fontsize=7)
-    figure.suptitle("The trial with the median error of each joint angle")
+            right.plot(values, color=colour, lw=1.1, label=text)
+        label_panel(right, f"{label(one.angle)}, {one.take}", "[deg]", "common sample")
+    axes[0, 1].legend(fontsize=7)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=10, fontsize=7, frameon=False)
     return figure
+
+
+def _ends(one: AngleDifferences) -> Array:
+    """Estimate and reference (2, n), deg."""
+    assert one.reference is not None
+    return np.degrees([one.reference + one.difference, one.reference])
 
 
 # --- the protocol to print -----------------------------------------------------------------------
@@ -343,22 +307,9 @@ def write_protocol(folder: Path) -> list[Path]:
     check_new_file(folder / INDEX, False)
     what: dict[str, str] = _TEXTS["trials"]
     visits = list(product([f"P{k:02d}" for k in range(1, 11)], "12", "AB"))
-    rows = [
-        (*one, *("/".join(one) + end for end in ("", "/reference.mot")))
-        for one in ((*v, name) for v in visits for name in what)
-    ]
-    sheet = document.Table((*COLUMNS[:3], *map(label, what)), [(*one, *[""] * len(what)) for one in visits])
-    page = Document(
-        "protocol",
-        "Validate yourself in an afternoon",
-        "Ten people, two raters, two sessions, three speeds of walking, squat, sit-to-stand: "
-        f"{len(rows)} trials of half a minute.",
-        sections=[
-            Section("steps", "Steps", [tuple(_TEXTS["steps"])]),
-            Section("trials", "Trials", [{label(name): text for name, text in what.items()}]),
-            Section("sheet", "Record sheet: tick, or note why not", [sheet]),
-        ],
-        tables={INDEX: document.Table(COLUMNS, rows)},
-        facts=None,
-    )
-    return document.write_files(page, folder)
+    trials = [(*visit, name) for visit in visits for name in what]
+    rows = [(*one, "/".join(one), f"{'/'.join(one)}/reference.mot") for one in trials]
+    document.write_csv(folder / INDEX, document.Table(COLUMNS, rows))
+    page = render("validation_protocol.html", styles=("page.css",), trials=what, visits=visits)
+    write_text(folder / "protocol.html", page)
+    return [folder / INDEX, folder / "protocol.html"]

@@ -55,11 +55,7 @@ SETS: Final = {one.name: one for one in (OpenCapValidation, Vidimu, Movi, Gaitex
 CAMERAS: Final = ("set", "unknown")  #: The set's calibration, or none, as of a phone that was put anywhere
 TAKES: Final = "angle_errors_by_take.csv"
 _WITH_SENSORS: Final = ("sf2", "rtof", "imu")
-_DIFFERENCE, _SIGMA, _REFERENCE = (
-    "difference ",
-    "sigma ",
-    "reference ",
-)  #: Arrays of a result, before the name of the angle
+_PARTS: Final = ("difference", "sigma", "reference")  #: Arrays of a result, before the name of the angle
 
 
 @dataclass(frozen=True)
@@ -173,11 +169,10 @@ def differences(outcome: Outcome) -> tuple[AngleDifferences, ...]:
     for key, facts in outcome.done.items():
         arrays = outcome.arrays(key)
         for name, difference in arrays.items():
-            if name.startswith(_DIFFERENCE):
-                angle = name.removeprefix(_DIFFERENCE)
-                sigma, reference = arrays.get(_SIGMA + angle), arrays.get(_REFERENCE + angle)
-                person = facts["subject"]
-                found.append(AngleDifferences(angle, facts["kind"], key, difference, sigma, reference, person))
+            part, _, angle = name.partition(" ")
+            if part == "difference":
+                more = {other: arrays.get(f"{other} {angle}") for other in _PARTS[1:]}
+                found.append(AngleDifferences(angle, facts["kind"], key, difference, **more, person=facts["subject"]))
     return tuple(found)
 
 
@@ -257,9 +252,7 @@ def compared_with(
     if not found:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"{take.key}: no angle is in the motion and the reference at the same time ({why})")
-    arrays = {_DIFFERENCE + one.angle: one.difference for one in found}
-    arrays |= {_REFERENCE + one.angle: one.reference for one in found if one.reference is not None}
-    arrays |= {_SIGMA + one.angle: one.sigma for one in found if one.sigma is not None}
+    arrays = {f"{part} {one.angle}": own for one in found for part in _PARTS if (own := getattr(one, part)) is not None}
     facts = {"reference": truth.source, "of_sensors": truth.of_sensors, "clock": clock, "left_out": left_out}
     return facts | {"methods": {"angles": {one.angle: len(one.difference) for one in found}}}, arrays
 

@@ -18,6 +18,7 @@ from markupsafe import Markup
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical import comparison as clinical
+from rtof_kin.clinical.agreement import NO_AGREEMENT
 from rtof_kin.clinical.angles import opensim_angles
 from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
@@ -494,12 +495,7 @@ def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
         **{name: None if errors is None else deg(getattr(errors, field)) for name, field in _SIZES.items()},
         "largest_at": None if errors is None else number(errors.at),
         "correlation": None if errors is None else number(errors.correlation),
-        "nrmse_share": None if errors is None else number(errors.agreement.nrmse),
-        "cmc": None if errors is None else number(errors.agreement.cmc),
-        "range_error_deg": None if errors is None else deg(errors.agreement.range_error),
-        "bias_deg": None if errors is None else deg(errors.agreement.limits.bias),
-        "limit_low_deg": None if errors is None else deg(errors.agreement.limits.low),
-        "limit_high_deg": None if errors is None else deg(errors.agreement.limits.high),
+        **{name: number(value) for name, value in (errors.agreement if errors else NO_AGREEMENT).figures.items()},
         "outside_band_share": number(one.outside),
         "share": number(one.pair.share),
         "repeats_a": one.repeats[0],
@@ -544,8 +540,8 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
         *map(degrees, (errors.rmse, errors.mae, errors.median, errors.offset_removed)),
         f"{100 * agreed.nrmse:.0f} %" if agreed.nrmse == agreed.nrmse else "",
         degrees(agreed.range_error),
-        degrees(agreed.limits.bias, True),
-        " to ".join(degrees(end, True) for end in agreed.limits[1:]) if agreed.limits.low < np.inf else "",
+        degrees(agreed.bias, True),
+        " to ".join(filter(None, (degrees(end, True) for end in agreed[4:6]))),
         degrees(errors.largest, True),
         f"{errors.at:.2f} s" if found.by == "time" else f"{100 * errors.at:.0f} %",
         fixed(errors.correlation, 2),

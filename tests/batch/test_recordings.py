@@ -44,9 +44,9 @@ def test_a_manifest_names_recordings_and_options_of_each(tmp_path: Path) -> None
     "text, named",
     [
         ("", "empty"),
-        ("folder\na\n", "line 1.*named recording"),
-        ("recording,name,name\n", "line 1.*stands once"),
-        ("recording,name\na\n", "line 2: not 2 cells"),
+        ("folder\na\n", "line 1.*names the columns recording, each once; found folder"),
+        ("recording,name,name\n", "line 1.*each once"),
+        ("recording,name\na\n", "line 2: more or fewer cells than the 2 columns"),
         ("recording,name\n,x\n", "line 2: no recording"),
         ("recording,reconstruct\na,--x 'y\n", "line 2: options: No closing quotation"),
         ('recording\n"a\n', "not a readable CSV"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,28 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
     if not text.strip():
         raise FileFormatError(path, f"empty; expected {what}", 1)
     return text
+
+
+def csv_rows(
+    path: Path, what: str, columns: Sequence[str], limit: int = LARGEST_TEXT
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield line and cells by column of the rows of a CSV table that are not empty, without spaces around. Its first
+    line names at least `columns`, in any case. `FileFormatError`: as for `read_text`, another header or rows of another
+    length.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(path, what, limit), newline=""), strict=True)
+    try:
+        names = reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or ()]
+        if not {*columns} <= {*names} or len(set(names)) < len(names):
+            found = f"each once; found {', '.join(names)[:200]}"
+            raise FileFormatError(path, f"the first line names the columns {', '.join(columns)}, {found}", 1)
+        for row in reader:
+            if None in row or None in row.values():
+                raise FileFormatError(path, f"more or fewer cells than the {len(names)} columns", reader.line_num)
+            if any(map(str.strip, row.values())):
+                yield reader.line_num, {name: cell.strip() for name, cell in row.items()}
+    except csv.Error as error:
+        raise FileFormatError(path, f"not a readable CSV file: {error}", reader.line_num) from error
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
