@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +22,6 @@ from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.gait_reference import MODEL_ZERO, NAMES, OWN_SYSTEM, SHAPE, GaitReference
-from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 from rtof_kin.markers.fit import MISFIT, fit_body, track
 from rtof_kin.markers.trials import MarkerResult, read_trial
@@ -77,7 +75,7 @@ def read_gait_set(
 
 
 def _strides(walks: list[Path], own: dict[str, Any], up: str | None) -> GaitCycles:
-    """Strides of all passes of a person, on one body; events of the files replace those that are found."""
+    """Strides of all passes of a person, on one body; events are those that are found in every other motion."""
     beside = walks[0].parent.iterdir()
     person = re.fullmatch(own["files"], walks[0].name)
     static = [path for path in beside if person and re.fullmatch(own["static"].format(person[1]), path.name)]
@@ -87,11 +85,7 @@ def _strides(walks: list[Path], own: dict[str, Any], up: str | None) -> GaitCycl
         found = MarkerResult(path.stem, trial, body, track(trial, body))
         if found.rms > MISFIT:
             raise InvalidInputError(f"{path}: {found.headline}")
-        try:
-            motion = replace(found.motion, corrections=read_event_corrections(path, trial.times))
-        except RtofError:  # without events
-            motion = found.motion
-        parts.append(gait_cycles(motion, few=True))
+        parts.append(gait_cycles(found.motion, few=True))
     return joined_cycles(parts)
 
 
