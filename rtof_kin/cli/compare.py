@@ -213,6 +213,7 @@ def gait_reference(
         negate: variables with the opposite sign, separated by commas
     """
     from rtof_kin.formats.gait_reference import read_gait_reference_table, write_gait_reference
+    from rtof_kin.reporting.gait_sets import read_gait_set
 
     check_new_file(output, overwrite)
     table: dict[str, Any] = {"--people": people, "--system": system, "--zero": zero}
@@ -221,41 +222,24 @@ def gait_reference(
     if source.is_file() and not of_set:
         if absent := [name for name, value in table.items() if not value]:
             raise InvalidInputError(f"gait-reference: a table needs {', '.join(absent)} too")
-        reference = read_gait_reference_table(
-            source,
-            negated=negate,
-            people=people or 0,
-            licence=licence,
-            source=origin,
-            system=system,
-            zero=zero,
-            speed_range=walking_speed,
-        )
+        about = {"licence": licence, "source": origin, "system": system, "zero": zero, "speed_range": walking_speed}
+        reference = read_gait_reference_table(source, negated=negate, people=people or 0, **about)
     else:
-        table |= {"--negate": negate}
-        table |= {"--licence": licence, "--origin": origin} if of_set else {"--walking-speed": walking_speed}
+        table |= {"--negate": negate, "--walking-speed": not of_set and walking_speed, "--origin": of_set and origin}
+        table |= {"--licence": of_set and licence, "--from-standing": of_set and from_standing}
         if given := [name for name, value in table.items() if value]:
-            raise InvalidInputError(f"gait-reference: {', '.join(given)} is for a table, not for recordings or a set")
-        if of_set:
-            reference = _from_set(of_set, source, strides, walking_speed, up)
-        else:
+            raise InvalidInputError(f"gait-reference: {', '.join(given)} is not for {of_set or 'recordings'}")
+        if not of_set:
             reference = _from_recordings(source, licence, origin, strides, from_standing)
+        else:
+            with progress() as update:
+                said = partial(update, "reading people")
+                reference, left_out = read_gait_set(of_set, source, said, strides, walking_speed, up)
+            for code, reason in left_out.items():
+                say(f"left out: {code}: {reason}", "yellow")
     _print_reference(reference)
     write_gait_reference(output, reference, overwrite)
     say(f"wrote {output}")
-
-
-def _from_set(
-    name: str, source: Path, strides: int, speeds: tuple[float, float] | None, up: str | None
-) -> GaitReference:
-    """Reference from a public set; says who is left out, and why."""
-    from rtof_kin.reporting.gait_sets import read_gait_set
-
-    with progress() as update:
-        reference, left_out = read_gait_set(name, source, strides, speeds, up, partial(update, "reading people"))
-    for code, reason in left_out.items():
-        say(f"left out: {code}: {reason}", "yellow")
-    return reference
 
 
 def _from_recordings(source: Path, licence: str, origin: str, strides: int, from_standing: bool) -> GaitReference:

@@ -189,24 +189,23 @@ def own_validation(
     /,
     *,
     output: Output = Path("out/own_validation"),
-    protocol: bool = False,
+    template: bool = False,
     markers: Annotated[MarkerSettings, Fields("marker_set marker_table marker_person up", group="Marker trials")],
 ) -> int:
     """Validation on people of your own, beside a reference.
 
-    FOLDER has trials.csv, a row for each trial: person, session, rater, trial, our result and its reference. OUT gets
-    the whole: errors by joint angle with limits of agreement, reliability between raters and sessions (ICC, SEM, MDC),
-    figures and a methods paragraph. Exit code 1: a trial failed.
+    FOLDER has trials.csv: person, session, rater, trial, our result and its reference. OUT gets errors by joint angle
+    with limits of agreement, reliability (ICC, SEM, MDC), figures and methods. Exit code 1: a trial failed.
 
     Args:
         folder: of the study
-        protocol: write the protocol to print and a trials.csv to fill into FOLDER, and stop
+        template: write the protocol to print and a trials.csv to fill into FOLDER, and stop
     """
     from rtof_kin.protocols.own_study import measure, report, write_protocol
     from rtof_kin.protocols.tables import write_results
     from rtof_kin.reporting.document import show
 
-    if protocol:
+    if template:
         say("wrote " + ", ".join(map(str, write_protocol(folder))))
         return 0
     with progress() as update:

@@ -1,18 +1,9 @@
 """Agreement of estimates with references, and reliability of repeated measures, as validation studies report them.
 
-==============  ===============================================================================================
-nrmse           RMSE of a curve over the range of its reference, mean over curves
-cmc             coefficient of multiple correlation of waveforms measured at the same time (Ferrari et al., Gait &
-                Posture 31, 2010): two systems, pooled over curves; offsets count; not a number where the systems
-                differ more than the curves move
-range error     difference of the ranges of motion of a curve
-limits          limits of agreement, bias -+ 1.96 s, s^2 the variance within people plus that between them (Bland and
-                Altman, Journal of Biopharmaceutical Statistics 17, 2007); none of a single known person
-ICC(2,1), (3,1)  intraclass correlations of single measures: two-way random, absolute agreement, and two-way mixed,
-                consistency (Shrout and Fleiss, Psychological Bulletin 86, 1979), by the package ``pingouin``
-SEM, MDC        root of the error mean square of the same analysis; 1.96 sqrt(2) SEM (Weir, Journal of Strength and
-                Conditioning Research 19, 2005)
-==============  ===============================================================================================
+CMC: coefficient of multiple correlation of curves measured together (Ferrari et al., Gait & Posture 31, 2010). Limits
+of agreement: bias -+ 1.96 s, s^2 the variance within people plus that between them (Bland and Altman, J Biopharm Stat
+17, 2007). ICC(2,1), absolute agreement, and ICC(3,1), consistency (Shrout and Fleiss, Psychol Bull 86, 1979). SEM: root
+of the error mean square (Weir, J Strength Cond Res 19, 2005).
 """
 
 from __future__ import annotations
@@ -30,14 +21,6 @@ from rtof_kin.data.confidence import BAND_95
 FEWEST: Final = 5  #: People without whom there is no intraclass correlation
 _NAN: Final = float("nan")
 _STILL: Final = 1e-9  # [rad] range of a curve that does not move
-
-
-class Curve(NamedTuple):
-    """Common samples of one angle in one trial, known throughout."""
-
-    group: str  #: Person; '' where people are not known
-    reference: Array  #: (n,) rad
-    difference: Array  #: (n,) rad, estimate - reference
 
 
 class Agreement(NamedTuple):
@@ -63,22 +46,27 @@ class Agreement(NamedTuple):
 NO_AGREEMENT: Final = Agreement()
 
 
-def agreement_of(curves: Sequence[Curve]) -> Agreement:
-    """Return the agreement of curves, pooled; that without values for none."""
+def agreement_of(curves: Sequence[tuple[str, Array, Array]]) -> Agreement:
+    """Return the agreement of curves, pooled; that without values for none.
+
+    Args:
+        curves: person, '' where people are not known; reference (n,) and difference (n,), estimate - reference, rad.
+    """
     if not curves:
         return NO_AGREEMENT
-    ranges = np.array([[np.ptp(one.reference), np.ptp(one.reference + one.difference)] for one in curves])
-    rmse = np.array([np.sqrt(np.mean(one.difference**2)) for one in curves])
+    pairs = [(reference, reference + difference) for _, reference, difference in curves]
+    ranges = np.array([np.ptp(pair, axis=1) for pair in pairs])
+    rmse = np.array([np.sqrt(np.mean(difference**2)) for _, _, difference in curves])
     errors = ranges[:, 1] - ranges[:, 0]
-    groups = list(dict.fromkeys(one.group for one in curves))
-    own = [[k for k, one in enumerate(curves) if one.group == group] for group in groups]
-    parts = [[np.concatenate([curves[k].difference for k in index]) for index in own], [errors[index] for index in own]]
+    groups = list(dict.fromkeys(group for group, _, _ in curves))
+    own = [[k for k, one in enumerate(curves) if one[0] == group] for group in groups]
+    parts = [[np.concatenate([curves[k][2] for k in index]) for index in own], [errors[index] for index in own]]
     limits = [limits_of_agreement(part) for part in parts]
     if len(groups) == 1 and groups[0]:  # the variance between people is not known
         limits = [(bias, _NAN, _NAN) for bias, _, _ in limits]
     return Agreement(
         float(np.mean(rmse / ranges[:, 0])) if ranges[:, 0].min() > _STILL else _NAN,
-        multiple_correlation([(one.reference, one.reference + one.difference) for one in curves]),
+        multiple_correlation(pairs),
         float(np.mean(np.abs(errors))),
         *limits[0],
         *limits[1],
@@ -87,21 +75,15 @@ def agreement_of(curves: Sequence[Curve]) -> Agreement:
 
 def multiple_correlation(pairs: Iterable[tuple[Array, Array]]) -> float:
     """Return the coefficient of pairs of curves (F,), in one unit; NaN where it is imaginary."""
-    within = total = frames = curves = 0.0
-    for a, b in pairs:
-        both = np.stack([a, b])
-        within += float(np.sum((both - both.mean(axis=0)) ** 2))
-        total += float(np.sum((both - both.mean()) ** 2))
-        frames, curves = frames + len(a), curves + 1
-    if not total > 0:
-        return _NAN
-    share = 1 - (within / frames) / (total / (2 * frames - curves))
-    return float(np.sqrt(share)) if share >= 0 else _NAN
+    both = [np.stack(pair) for pair in pairs]
+    frames = sum(one.shape[1] for one in both)
+    within = sum(float(np.sum((one - one.mean(axis=0)) ** 2)) for one in both) / frames
+    total = sum(float(np.sum((one - one.mean()) ** 2)) for one in both) / (2 * frames - len(both))
+    return float(np.sqrt(1 - within / total)) if total > 0 and within <= total else _NAN
 
 
-def limits_of_agreement(groups: Iterable[Array]) -> tuple[float, float, float]:
-    """Return bias, lower and upper limit of differences (n,) by group; of one group, by its own spread alone."""
-    own = [one for one in groups if len(one)]
+def limits_of_agreement(own: Sequence[Array]) -> tuple[float, float, float]:
+    """Return bias, lower and upper limit of differences (n,) by group, n > 0; of one group, by its own spread alone."""
     d = np.concatenate(own)
     n, bias = len(d), float(np.mean(d))
     if n < 2:
@@ -138,12 +120,11 @@ def reliability(values: Array, kind: Literal["ICC(2,1)", "ICC(3,1)"]) -> Reliabi
     known = values[np.isfinite(values).all(axis=1)]
     people, repeats = known.shape
     if repeats < 2 or people < FEWEST:
-        why = f"{people} people with all {repeats}; {FEWEST} are needed" if repeats > 1 else "one alone"
-        return Reliability(people, why_not=why)
+        why = f"{people} people with all {repeats}; {FEWEST} are needed" if repeats > 1 else "no second one"
+        return Reliability(people, why_not=f"{kind}: {why}")
     if np.ptp(known) < _STILL:
-        return Reliability(people, why_not="everyone has the same value")
-    pingouin = optional("pingouin", "clinical", "an intraclass correlation")
-    pandas = optional("pandas", "clinical", "an intraclass correlation")
+        return Reliability(people, why_not=f"{kind}: everyone has the same value")
+    pingouin, pandas = (optional(name, "clinical", "an intraclass correlation") for name in ("pingouin", "pandas"))
     person, repeat = np.indices(known.shape)
     table = pandas.DataFrame({"person": person.ravel(), "repeat": repeat.ravel(), "value": known.ravel()})
     with warnings.catch_warnings():

@@ -24,7 +24,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.clinical.agreement import NO_AGREEMENT, Agreement, Curve, agreement_of
+from rtof_kin.clinical.agreement import NO_AGREEMENT, Agreement, agreement_of
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.comparison import HEADINGS, error_sizes
@@ -122,7 +122,7 @@ def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, move
     size = np.concatenate([np.abs(one.difference) for one in banded]) if banded else np.empty(0)
     sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
     stated = np.isfinite(sigma)
-    curves = [Curve(o.person, o.reference, o.difference) for o in own if o.reference is not None]
+    curves = [(o.person, o.reference, o.difference) for o in own if o.reference is not None]
     return AngleErrors(
         angle,
         movement,

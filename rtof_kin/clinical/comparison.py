@@ -24,7 +24,7 @@ import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.clinical.agreement import Agreement, Curve, agreement_of
+from rtof_kin.clinical.agreement import Agreement, agreement_of
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
 from rtof_kin.clinical.comparison_change import Change, Made, Repeats, Verdict, adjusted, change, error_of, shared_of
@@ -85,7 +85,7 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
         largest=float(difference[worst]),
         at=float(axis[known][worst]),
         correlation=float(np.sum(own * other) / size) if size > 1e-12 else float("nan"),
-        agreement=agreement_of([Curve("", a[known], difference)]),
+        agreement=agreement_of([("", a[known], difference)]),
     )
 
 

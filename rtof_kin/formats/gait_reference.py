@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -194,7 +194,11 @@ def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = ()
     if unknown := [name for name in negated if name not in NAMES]:
         raise UnknownNameError("gait variable", unknown, NAMES)
     found: dict[str, dict[float, tuple[float, float]]] = {}
-    for line, name, percent, middle, spread in _rows(Path(path)):
+    rows = csv_rows(Path(path), "a table with the columns variable, percent, mean, sd", _COLUMNS[:3], _LARGEST)
+    for line, row in rows:
+        if (name := row["variable"]) not in NAMES:
+            raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), line)
+        percent, middle, spread = (_number(Path(path), line, column, row) for column in _COLUMNS[1:])
         own = found.setdefault(name, {})
         if percent in own:
             raise FileFormatError(path, f"{name} at {percent:g} % occurs twice", line)
@@ -210,17 +214,6 @@ def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = ()
         return GaitReference(np.radians(mean), np.radians(sd), **about)
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
-
-
-def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
-    """Line, variable, per cent, mean and standard deviation of each row."""
-    what = "a table with the columns variable, percent, mean, sd"
-    for line, row in csv_rows(path, what, _COLUMNS[:3], _LARGEST):
-        name = row["variable"]
-        if name not in NAMES:
-            raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), line)
-        percent, mean, sd = (_number(path, line, column, row) for column in _COLUMNS[1:])
-        yield line, name, percent, mean, sd
 
 
 def _number(path: Path, line: int, column: str, row: dict[str, str]) -> float:

@@ -38,12 +38,11 @@ _AGREEMENT: Final = {"joint angle": 0, "movement": 0, "NRMSE [%]": 0, "CMC": 2, 
     name: 1 for name in ("bias", "limit low", "limit high", "range bias", "range low", "range high")
 }
 _AGREED: Final = (
-    "Degrees. NRMSE: percent of the range of the reference in each take. CMC: coefficient of multiple correlation "
-    "(Ferrari et al. 2010); offsets count, and it is '-' where the curves differ more than they move. Range error: "
-    "mean size of the difference of the ranges of motion of a take and side.",
+    "Degrees. NRMSE: of the range of the reference in each take. CMC: coefficient of multiple correlation (Ferrari et "
+    "al. 2010); offsets count, and it is '-' where the curves differ more than they move. Range error: mean size of "
+    "the difference of the ranges of motion of a take and side.",
     "Limits: bias -+ 1.96 s, s^2 the variance within plus between people (Bland and Altman 2007); none of a single "
-    "known person, and where people are not known the spread alone. Of the angle over samples, then of the range of "
-    "motion over takes and sides.",
+    "known person; where people are not known the spread alone. First of the angle over samples, then of its range.",
 )
 _NOTES: Final = (
     "Degrees; estimate minus reference. Both sides of a joint are pooled. Offset: mean difference. No "

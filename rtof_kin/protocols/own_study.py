@@ -28,7 +28,6 @@ from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, angle_differen
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError, RtofError
 from rtof_kin.core.files.folder import check_new_file
@@ -93,7 +92,7 @@ def read_index(folder: Path) -> tuple[Trial, ...]:
     """Read ``trials.csv``; `FileFormatError`: there is none, a column or a cell is missing, or a row occurs twice."""
     path = folder / INDEX
     trials: dict[str, Trial] = {}
-    for line, cells in csv_rows(path, f"a table with the columns {', '.join(COLUMNS)}; --protocol writes one", COLUMNS):
+    for line, cells in csv_rows(path, f"a table with the columns {', '.join(COLUMNS)}; --template writes one", COLUMNS):
         if empty := [name for name in COLUMNS[:-1] if not cells[name]]:
             raise FileFormatError(path, f"no {', '.join(empty)} in this row", line)
         reference = folder / cells["reference"] if cells["reference"] else None
@@ -110,11 +109,7 @@ def read_index(folder: Path) -> tuple[Trial, ...]:
 def measure(
     folder: Path, markers: MarkerSettings | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Study:
-    """Compare all trials of a folder; one that fails is kept with its reason.
-
-    Raises:
-        FileFormatError: of the index. InvalidInputError: no trial could be measured.
-    """
+    """Compare all trials; one that fails is kept with its reason, and `InvalidInputError` where all do."""
     study = Study(read_index(folder))
     for number, one in enumerate(study.trials):
         try:
@@ -170,9 +165,7 @@ def reliability_table(study: Study) -> tuple[Table, set[str]]:
             pair = reliability(between, "ICC(2,1)"), reliability(over, "ICC(3,1)")
             values = [value for own in pair for value in (own.people, own.icc, own.low, own.high)]
             rows.append((trial, label(name), *values, *(pair[1].sem * np.degrees([1, BAND_95 * np.sqrt(2)])).tolist()))
-            missing |= {
-                f"{of}: {own.why_not}" for of, own in zip(("raters", "sessions"), pair, strict=True) if own.why_not
-            }
+            missing |= {own.why_not for own in pair if own.why_not}
     names = [f"{icc} {name}".strip() for icc in ("ICC(2,1)", "ICC(3,1)") for name in ("people", "", "low", "high")]
     columns = ("trial", "angle", *names, "SEM [deg]", "MDC [deg]")
     note = "Of the range of motion in a trial: (2,1) between raters, the others between sessions. '-': not computed."
@@ -190,7 +183,7 @@ def report(study: Study) -> Document:
     try:
         table, missing = reliability_table(study)
         tables.append(table)
-        cautions += [f"no reliability between {why}" for why in sorted(missing)]
+        cautions += [f"not computed for some angles: {why}" for why in sorted(missing)]
     except MissingPackageError as missing_package:
         cautions.append(f"reliability is left out: {missing_package}")
     text = methods(study) + ("\n\nNot as planned: " + "; ".join(cautions) + "." if cautions else "")
@@ -209,8 +202,8 @@ def report(study: Study) -> Document:
     alt = "Bland-Altman plots of ranges of motion, and curves of the trial with the median error"
     drawn = [Figure("figures/agreement", alt, partial(_figure, study))] if rows else []
     sections = [Section("methods", "Methods", text.split("\n\n")), *base.sections, Section("figures", "", drawn)]
-    figures, printed = [*base.figures, *drawn], [*base.printed, text]
-    return replace(base, title="Validation", cautions=cautions, figures=figures, sections=sections, printed=printed)
+    more: Any = {"figures": [*base.figures, *drawn], "printed": [*base.printed, text], "sections": sections}
+    return replace(base, title="Validation", cautions=cautions, **more)
 
 
 def _counts(study: Study) -> str:
@@ -220,15 +213,15 @@ def _counts(study: Study) -> str:
 
 
 def _first_line(study: Study) -> str:
-    done = len(study.trials) - len(study.failed)
-    text = f"Validation of {_counts(study)}: {done} of {len(study.trials)} trials measured"
+    count = len(study.trials)
+    text = f"Validation of {_counts(study)}: {count - len(study.failed)} of {count} trials measured"
     if study.failed:
         named = some([f"{key}: {why}" for key, why in study.failed.items()], 3, "; ")
         text += f", {len(study.failed)} FAILED and are in no value below ({named})"
     if gone := [name for name in study.names("person", False) if name not in study.names("person")]:
         text += f"; WITHOUT {', '.join(gone)}, of whom no trial was measured"
     every = [study.names(column, False) for column in COLUMNS[:4]]
-    if missing := int(np.prod([len(names) for names in every])) - len(study.trials):
+    if missing := int(np.prod([len(names) for names in every])) - count:
         text += f"; {missing} combinations of person, session, rater and trial are not in {INDEX}"
     if alone := sum(one.reference is None for one in study.trials):
         text += f"; without a reference, and in no error: {alone}"
@@ -261,21 +254,21 @@ def methods(study: Study) -> str:
     counted = (_counts(study), ", ".join(study.names("trial")), len(used), len(study.trials), rtof_kin.__version__)
     references = ", ".join(f"{kind} ({count} trials)" for kind, count in kinds.items()) or "none"
     first = study.names("session")[0], study.names("rater")[0]
-    text: str = _TEXTS["methods"].format(*counted, references, *first, package)
-    return text.strip()
+    return str(_TEXTS["methods"]).format(*counted, references, *first, package).strip()
 
 
 def _figure(study: Study) -> Plot:
     """Draw each joint angle: difference of the ranges of motion over their mean, by person, with bias and limits; and
     estimate and reference in the trial with the median error.
     """
+    known = [(one, one.reference) for one in study.differences if one.reference is not None]
     rows = {row.angle: row for row in error_rows(study.differences, MOVEMENTS) if row.movement == ALL}
     names = [name for name in rows if name != ALL]
     figure, axes = subplots(len(names), 2, (10, 2.6 * len(names)))
     for (left, right), name in zip(axes, names, strict=True):
-        own = [one for one in study.differences if one.joint_angle == name]
+        own = [(np.degrees([r + one.difference, r]), one) for one, r in known if one.joint_angle == name]
         for k, person in enumerate(study.names("person")):
-            pairs = [np.ptp(_ends(one), axis=1) for one in own if one.person == person]
+            pairs = [np.ptp(ends, axis=1) for ends, one in own if one.person == person]
             estimate, reference = np.array(pairs).reshape(-1, 2).T
             dots: Any = {"ms": 4, "alpha": 0.7, "color": f"C{k % 10}", "label": person}
             left.plot((estimate + reference) / 2, estimate - reference, "o", **dots)
@@ -283,20 +276,14 @@ def _figure(study: Study) -> Plot:
             left.axhline(value, color="0.3", lw=0.9, ls=style)  # nothing where it is not known
         label_panel(left, f"{label(name)}: ranges of motion", "difference [deg]", "mean of both [deg]")
         left.locator_params("x", nbins=6)
-        one = sorted(own, key=lambda one: float(np.mean(one.difference**2)))[(len(own) - 1) // 2]
-        for values, colour, text in zip(_ends(one), (ESTIMATE, TRUTH), ("estimate", "reference"), strict=True):
+        ends, one = sorted(own, key=lambda of: float(np.mean(of[1].difference ** 2)))[(len(own) - 1) // 2]
+        for values, colour, text in zip(ends, (ESTIMATE, TRUTH), ("estimate", "reference"), strict=True):
             right.plot(values, color=colour, lw=1.1, label=text)
         label_panel(right, f"{label(one.angle)}, {one.take}", "[deg]", "common sample")
     axes[0, 1].legend(fontsize=7)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=10, fontsize=7, frameon=False)
     return figure
-
-
-def _ends(one: AngleDifferences) -> Array:
-    """Estimate and reference (2, n), deg."""
-    assert one.reference is not None
-    return np.degrees([one.reference + one.difference, one.reference])
 
 
 # --- the protocol to print -----------------------------------------------------------------------

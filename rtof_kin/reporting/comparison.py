@@ -421,9 +421,8 @@ _ABOUT_DIFFERENCES: Final = Markup(
 _ABOUT_ERRORS: Final = Markup(
     '<p class="note">Degrees, of B - A over the samples that are observed and reliable in both: root mean square, mean '
     "and median of the size, root mean square without the mean difference, and the largest. NRMSE: of the range of A. "
-    "Range error: size of the difference of the ranges of both curves. Limits: bias &plusmn; 1.96 standard deviations "
-    "of the samples of this one comparison (Bland and Altman 1986). CMC: coefficient of multiple correlation (Ferrari "
-    "et al. 2010), in which offsets count; none where the curves differ more than they move.</p>"
+    "Range error: difference of the ranges of both. Limits: bias &plusmn; 1.96 standard deviations of these samples "
+    "(Bland and Altman 1986). CMC: coefficient of multiple correlation (Ferrari et al. 2010); offsets count.</p>"
 )
 _ABOUT_CURVES: Final = Markup(
     '<p class="note">Bands are 95 % intervals, each of its motion\'s confidence and of the spread between repeats; '

@@ -35,18 +35,15 @@ _LARGER: Final = {"hip_flexion": (0, 50), "knee_flexion": (72, 40), "ankle_dorsi
 def read_gait_set(
     name: str,
     folder: Path,
+    progress: Callable[[int, int], None],
     least_strides: int = 3,
     speeds: tuple[float, float] | None = None,
     up: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[GaitReference, dict[str, str]]:
     """Return the reference of one of `SETS` below a folder, and who is left out with the reason.
 
-    Args:
-        speeds: m/s, slowest and fastest, of trials that state theirs. up: of the C3D files, see `read_trial`.
-
-    Raises:
-        FileFormatError: no file of it, or other signs. InvalidInputError: too few people are left.
+    speeds: m/s, slowest and fastest, of trials that state theirs. up: see `read_trial`. `FileFormatError`: no file of
+    it, or other signs; `InvalidInputError`: too few people are left.
     """
     indices_of("gait set", [name], list(SETS))
     own, files = SETS[name], dict[str, list[Path]]()
@@ -60,25 +57,26 @@ def read_gait_set(
     people, left_out = dict[str, Any](), dict[str, str]()
     for number, (person, paths) in enumerate(files.items()):
         try:
-            of_markers = "static" in own
-            people[person] = _strides(paths, own, up) if of_markers else _angles(paths, own["columns"], speeds)
+            if "static" in own:
+                people[person] = _strides(paths, own["static"].format(person), up)
+            else:
+                people[person] = _angles(paths, own["columns"], speeds)
         except RtofError as error:
             left_out[person] = str(error)
-        if progress is not None:
-            progress(number + 1, len(files))
-    about = {"licence": own["licence"], "source": own["source"], "notes": tuple(own["notes"])}
+        progress(number + 1, len(files))
+    about = {key: own[key] for key in ("licence", "source", "system", "zero") if key in own} | {
+        "notes": tuple(own["notes"])
+    }
     if "static" not in own:
         return _means(folder, people, own, about), left_out
-    system = f"{OWN_SYSTEM} {rtof_kin.__version__}, on the optical markers of {name}"
-    made, without = build_reference(people, least_strides=least_strides, system=system, zero=MODEL_ZERO, **about)
+    about |= {"system": f"{OWN_SYSTEM} {rtof_kin.__version__}, on the optical markers of {name}", "zero": MODEL_ZERO}
+    made, without = build_reference(people, least_strides=least_strides, **about)
     return made, left_out | without
 
 
-def _strides(walks: list[Path], own: dict[str, Any], up: str | None) -> GaitCycles:
+def _strides(walks: list[Path], static_name: str, up: str | None) -> GaitCycles:
     """Strides of all passes of a person, on one body; events are those that are found in every other motion."""
-    beside = walks[0].parent.iterdir()
-    person = re.fullmatch(own["files"], walks[0].name)
-    static = [path for path in beside if person and re.fullmatch(own["static"].format(person[1]), path.name)]
+    static = [path for path in sorted(walks[0].parent.iterdir()) if re.fullmatch(static_name, path.name)]
     trials, parts = [read_trial(path, up) for path in (*static, *walks)], []
     body = fit_body(trials[: len(static) + _FITTED])
     for path, trial in zip(walks, trials[len(static) :], strict=True):
@@ -134,7 +132,5 @@ def _means(folder: Path, people: dict[str, Any], own: dict[str, Any], about: dic
         mean[v], sd[v] = curves.mean(axis=0), curves.std(axis=0, ddof=1)
         high, low = _LARGER.get(name, (0, 0))
         if high != low and not mean[v, high // 2] > mean[v, low // 2]:
-            at = f"at {high} % of the cycle than at {low} %"
-            raise FileFormatError(folder, f"{name} is not larger {at}: another sign than published?")
-    system, zero = own["system"], own["zero"]
-    return GaitReference(np.radians(mean), np.radians(sd), len(people), system=system, zero=zero, **about)
+            raise FileFormatError(folder, f"{name} is not larger at {high} than at {low} % of the cycle: another sign?")
+    return GaitReference(np.radians(mean), np.radians(sd), len(people), **about)

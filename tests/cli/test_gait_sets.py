@@ -55,10 +55,11 @@ def test_angles_of_fukuchi_are_means_with_licence_and_citation(cli: Any, tmp_pat
     assert "e4640" in found.source
     assert not found.is_own
     assert "--licence" in cli.refused(*arguments, "--licence", "mine", "--overwrite").err
+    assert "--from-standing" in cli.refused(*arguments, "--from-standing", "--overwrite").err
     assert "--walking-speed" in cli.refused(*arguments, "--walking-speed", 1, 2, "--overwrite").err
     assert "expected names as" in cli.refused(*arguments[:3], "lencioni2019", *arguments[4:], "--overwrite").err
     write_fukuchi(tmp_path, 5, sign=-9.0)
-    assert "another sign than published" in cli.refused(*arguments, "--overwrite").err
+    assert "another sign?" in cli.refused(*arguments, "--overwrite").err
 
 
 def write_lencioni(path: Path, offset: float) -> None:

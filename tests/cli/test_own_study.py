@@ -135,8 +135,8 @@ def test_what_cannot_be_computed_is_not_shown_and_said(tmp_path: Path) -> None:
     found = own_study.report(own_study.measure(folder))
     cautions = "; ".join(found.cautions)
     assert "limits of agreement are not shown" in cautions
-    assert "no reliability between raters: 1 people with all 2; 5 are needed" in cautions
-    assert "no reliability between sessions: one alone" in cautions
+    assert "for some angles: ICC(2,1): 1 people with all 2; 5 are needed" in cautions
+    assert "for some angles: ICC(3,1): no second one" in cautions
     assert found.plain()["rows"][0]["limit_low_deg"] is None
     table = (folder / "trials.csv").read_text()
     (folder / "trials.csv").write_text(table + table.splitlines()[1])
@@ -145,13 +145,14 @@ def test_what_cannot_be_computed_is_not_shown_and_said(tmp_path: Path) -> None:
 
 
 def test_the_protocol_is_printed_with_an_index_of_its_trials(cli: Any, tmp_path: Path) -> None:
-    cli.ok("evaluate", "validation", tmp_path / "new", "--protocol")
+    cli.ok("evaluate", "validation", tmp_path / "new", "--template")
     trials = own_study.read_index(tmp_path / "new")
     assert len(trials) == 10 * 2 * 2 * 5
     assert trials[0].reference == tmp_path / "new" / "P01/1/A/walk_slow/reference.mot"
     assert {own_study.kind_of(one.trial, own_study._KINDS) for one in trials} == {"walk", "squat", "sit-to-stand"}
-    page = Page((tmp_path / "new" / "protocol.html").read_text())
-    assert not page.wrong
-    assert "Two raters, A and B" in page.text["steps"]
-    assert "trials.csv" in cli.refused("evaluate", "validation", tmp_path / "new", "--protocol").err
+    text = (tmp_path / "new" / "protocol.html").read_text()
+    assert "Two raters, A and B" in text
+    assert not Page(text).wrong
+    assert text.count("&#9744;") == len(trials)
+    assert "trials.csv" in cli.refused("evaluate", "validation", tmp_path / "new", "--template").err
     assert "no trial could be measured" in cli.refused("evaluate", "validation", tmp_path / "new").err

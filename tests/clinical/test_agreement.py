@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rtof_kin.clinical.agreement import Curve, agreement_of, limits_of_agreement, multiple_correlation, reliability
+from rtof_kin.clinical.agreement import agreement_of, limits_of_agreement, multiple_correlation, reliability
 
 PHASE = np.linspace(0, 2 * np.pi, 101)
 WAVE = 0.5 * np.sin(PHASE)
@@ -29,7 +29,7 @@ def test_multiple_correlation_is_that_of_the_publication() -> None:
 
 
 def test_an_offset_and_a_scale_come_out_in_their_own_figures() -> None:
-    found = agreement_of([Curve("a", WAVE, 0.1 * WAVE + 0.02), Curve("b", WAVE, -0.2 * WAVE + 0.02)])
+    found = agreement_of([("a", WAVE, 0.1 * WAVE + 0.02), ("b", WAVE, -0.2 * WAVE + 0.02)])
     assert found.range_error == pytest.approx(0.15 * np.ptp(WAVE))
     rms = [np.sqrt(np.mean((k * WAVE + 0.02) ** 2)) / np.ptp(WAVE) for k in (0.1, -0.2)]
     assert found.nrmse == pytest.approx(np.mean(rms))
@@ -61,5 +61,5 @@ def test_reliability_has_the_published_coefficients_and_the_error_of_the_analysi
     assert absolute.low < absolute.icc < absolute.high
     assert consistent.sem == pytest.approx(np.sqrt(1.02), abs=0.005)  # their table 3: EMS 1.02
     half = np.where(np.arange(6)[:, None] < 2, np.nan, SHROUT_FLEISS)
-    assert reliability(half, "ICC(2,1)").why_not == "4 people with all 4; 5 are needed"
-    assert reliability(SHROUT_FLEISS[:, :1], "ICC(3,1)").why_not == "one alone"
+    assert reliability(half, "ICC(2,1)").why_not == "ICC(2,1): 4 people with all 4; 5 are needed"
+    assert reliability(SHROUT_FLEISS[:, :1], "ICC(3,1)").why_not == "ICC(3,1): no second one"

@@ -57,9 +57,8 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
 def csv_rows(
     path: Path, what: str, columns: Sequence[str], limit: int = LARGEST_TEXT
 ) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield line and cells by column of the rows of a CSV table that are not empty, without spaces around. Its first
-    line names at least `columns`, in any case. `FileFormatError`: as for `read_text`, another header or rows of another
-    length.
+    """Yield line and stripped cells by column of each row of a CSV table that is not empty, whose first line names at
+    least `columns`, in any case. `FileFormatError`: as for `read_text`, another header, or rows of another length.
     """
     reader = csv.DictReader(io.StringIO(read_text(path, what, limit), newline=""), strict=True)
     try:
