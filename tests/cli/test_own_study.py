@@ -15,8 +15,11 @@ from report_support import Page
 
 from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion
+from rtof_kin.clinical import agreement
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
+from rtof_kin.core.errors import FileFormatError, MissingPackageError
+from rtof_kin.datasets.public_sets import kind_of
 from rtof_kin.protocols import own_study
 
 COLUMNS = {
@@ -132,16 +135,39 @@ def test_reliability_is_that_of_the_ranges_of_motion(out: Path) -> None:
 
 def test_what_cannot_be_computed_is_not_shown_and_said(tmp_path: Path) -> None:
     folder = study(tmp_path / "one", people=1, sessions=1)
+    table = (folder / "trials.csv").read_text()
+    (folder / "trials.csv").write_text(table.replace("P0/0/B/reference.mot", "P0/0/B"))  # another result: the same
+    same = [one for one in own_study.measure(folder).differences if "rater B" in one.take]
+    assert {"right_hip_flexion", "left_ankle_dorsiflexion"} <= {one.angle for one in same}
+    assert max(float(np.abs(one.difference).max()) for one in same) < 1e-9
+    (folder / "trials.csv").write_text(table)
     found = own_study.report(own_study.measure(folder))
     cautions = "; ".join(found.cautions)
     assert "limits of agreement are not shown" in cautions
     assert "for some angles: ICC(2,1): 1 people with all 2; 5 are needed" in cautions
     assert "for some angles: ICC(3,1): no second one" in cautions
     assert found.plain()["rows"][0]["limit_low_deg"] is None
-    table = (folder / "trials.csv").read_text()
     (folder / "trials.csv").write_text(table + table.splitlines()[1])
-    with pytest.raises(own_study.FileFormatError, match="P0 session 0 rater A walk occurs twice"):
+    with pytest.raises(FileFormatError, match="P0 session 0 rater A walk occurs twice"):
         own_study.read_index(folder)
+
+
+def test_a_missing_package_and_a_missing_side_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    trials = tuple(own_study.Trial(f"P{p}", s, "A", "squat", Path(), None) for p in range(6) for s in "12")
+    ranges = {(one, "left_knee_flexion"): 1.0 + 0.1 * k for k, one in enumerate(trials[:-1])}
+    planted = own_study.Study(trials[:-1], ranges=ranges)
+    found = own_study.report(planted)
+    assert "; 1 combinations of person, session, rater and trial are not in trials.csv" in found.headline
+    assert "one side alone was measured: left knee flexion" in found.cautions
+    assert [row[6] for row in found.tables["reliability.csv"].rows] == [5]  # one has no second session
+
+    def absent(name: str, *_: str) -> Any:
+        raise MissingPackageError(f"an intraclass correlation needs {name}")
+
+    monkeypatch.setattr(agreement, "optional", absent)
+    found = own_study.report(planted)
+    assert "reliability is left out: an intraclass correlation needs pingouin" in found.cautions
+    assert "reliability.csv" not in found.tables
 
 
 def test_the_protocol_is_printed_with_an_index_of_its_trials(cli: Any, tmp_path: Path) -> None:
@@ -149,7 +175,7 @@ def test_the_protocol_is_printed_with_an_index_of_its_trials(cli: Any, tmp_path:
     trials = own_study.read_index(tmp_path / "new")
     assert len(trials) == 10 * 2 * 2 * 5
     assert trials[0].reference == tmp_path / "new" / "P01/1/A/walk_slow/reference.mot"
-    assert {own_study.kind_of(one.trial, own_study._KINDS) for one in trials} == {"walk", "squat", "sit-to-stand"}
+    assert {kind_of(one.trial, own_study._KINDS) for one in trials} == {"walk", "squat", "sit-to-stand"}
     text = (tmp_path / "new" / "protocol.html").read_text()
     assert "Two raters, A and B" in text
     assert not Page(text).wrong
