@@ -30,6 +30,32 @@ TRUTHS = [truth(1), truth(2)]
 ONE = truth(1, T=6)
 
 
+# --- Motion-BIDS ---------------------------------------------------------------------------------
+
+
+def test_bids_takes_units_of_the_channels_and_its_rate_from_a_file_above(tmp_path: Path) -> None:
+    """In the style of motion_systemvalidation of bids-examples, without latencies, in g, the JSON inherited."""
+    folder = tmp_path / "sub-1" / "motion"
+    folder.mkdir(parents=True)
+    path = folder / "sub-1_task-walk_tracksys-imu_motion.tsv"
+    path.write_text("0\t0\t1\t180\t0\tn/a\t7\n" * 2)
+    names = [f"a_b_{kind}_{axis}\t{axis}\t{kind}\ta_b" for kind in ("ACCEL", "GYRO") for axis in "xyz"]
+    units = ["g"] * 3 + ["deg/s"] * 3
+    table = [f"{name}\t{unit}" for name, unit in zip(names, units, strict=True)]
+    table = ["name\tcomponent\ttype\ttracked_point\tunits", *table, "a_yaw\tx\tORNT\ta_b\tdeg", ""]
+    with pytest.raises(FileFormatError, match=r"channels\.tsv is neither beside it nor above"):
+        read_sensor_log(path)
+    (tmp_path / "task-walk_channels.tsv").write_text("\n".join(table))
+    (tmp_path / "task-run_motion.json").write_text('{"SamplingFrequency": 50}')
+    (tmp_path / "task-walk_tracksys-imu_motion.json").write_text('{"SamplingFrequency": 200}')
+    log = read_sensor_log(path)
+    (stream,) = log.streams
+    assert (log.names, stream.rate_hz, stream.holds) == (("a_b",), 200, ("f_sensor", "w_sensor"))
+    np.testing.assert_allclose(stream.f_sensor, [[0, 0, STANDARD_GRAVITY]] * 2)
+    np.testing.assert_allclose(stream.w_sensor, [[np.pi, 0, np.nan]] * 2)
+    assert "channels left out: a_yaw" in log.notes
+
+
 # --- plain CSV -----------------------------------------------------------------------------------
 
 

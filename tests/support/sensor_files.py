@@ -224,6 +224,27 @@ def write_xdf(folder: Path, truths: list[Truth]) -> Path:
     return path
 
 
+def write_bids(folder: Path, truths: list[Truth]) -> Path:
+    """As published data sets of Motion-BIDS: by quantity, degrees, n/a, channels of other kinds, latency last."""
+    columns, channels = [], []
+    kinds = (("ACCEL", "m/s^2", "xyz"), ("GYRO", "deg/s", "xyz"), ("MAGN", "n/a", "xyz"), ("ORNT", "n/a", "wxyz"))
+    for kind, unit, axes in kinds:
+        for serial, one in zip(SERIALS, truths, strict=False):
+            values = {"ACCEL": one.f, "GYRO": np.rad2deg(one.w), "MAGN": one.m, "ORNT": one.quat_wxyz}[kind]
+            columns += [*values.T, np.full(len(values), np.nan)]
+            names = [f"quat_{axis}" if kind == "ORNT" else axis for axis in axes]
+            channels += [f"{serial}_{kind}_{name}\t{name}\t{kind}\t{serial}\t{unit}\t60" for name in names]
+            channels += [f"{serial}_{kind}_extra\tn/a\tMISC\t{serial}\tn/a\t60"]
+    columns.append(np.arange(len(columns[0])) / RATE)
+    head, stem = "name\tcomponent\ttype\ttracked_point\tunits\tsampling_frequency", "sub-pp002_task-walk"
+    channels = [head, *channels, "imu_latency\tn/a\tLATENCY\tn/a\tseconds\t60", ""]
+    (folder / f"{stem}_tracksys-imu_channels.tsv").write_text("\n".join(channels))
+    path = folder / f"{stem}_tracksys-imu_motion.tsv"
+    path.write_text("\n".join([*lines(np.column_stack(columns), "\t"), ""]).replace("nan", "n/a"))
+    (folder / "task-walk_motion.json").write_text('{"SamplingFrequency": 60, "TaskName": "walk"}')
+    return path
+
+
 WRITERS: dict[str, Callable[[Path, list[Truth]], Path]] = {
     "Xsens MT Manager text": write_mt,
     "Movella DOT CSV": write_dot,
@@ -235,5 +256,6 @@ WRITERS: dict[str, Callable[[Path, list[Truth]], Path]] = {
     "OpenSense .sto": write_sto,
     "Total Capture .sensors": write_total_capture,
     "XDF": write_xdf,
+    "Motion-BIDS": write_bids,
 }
 """One for each format, by its title: they write a trial and return what is to be read."""

@@ -97,6 +97,13 @@ FORMATS: Final = (
         tables.read_imu_csv,
         True,
     ),
+    Format(
+        tables.BIDS_TITLE,
+        "*_motion.tsv without a line of names; *_channels.tsv and *_motion.json beside it or above",
+        tables.is_bids_motion,
+        tables.read_bids_motion,
+        True,
+    ),
 )
 """Built-in formats."""
 ADDED: Final = Extensions("rtof_kin.sensor_formats", Format, lambda form: form.title)

@@ -128,6 +128,20 @@ def read_table(
     delimiter = _delimiter(line)
     if decimal_commas and delimiter != ",":
         rows = ((number, row.replace(",", ".")) for number, row in rows)
+    return named_table(path, tuple(header), names, taken, delimiter, rows)
+
+
+def named_table(
+    path: Path,
+    header: tuple[str, ...],
+    names: list[str],
+    taken: list[int],
+    delimiter: str,
+    rows: Iterator[tuple[int, str]],
+) -> SensorTable:
+    """Read the taken ones of columns whose names are known; an empty cell or n/a is a missing sample. Errors as
+    `read_table`.
+    """
     table, lines, cut = _read_rows(path, names, taken, delimiter, rows)
     huge = np.argwhere(np.abs(table) > LARGEST_NUMBER)
     if len(huge):
@@ -135,7 +149,7 @@ def read_table(
         problem = f"column {names[taken[column]]}: {table[row, column]:g} is no measurement"
         raise FileFormatError(path, problem, lines[row])
     notes = (f"line {cut} was cut off and is left out",) if cut is not None else ()
-    return SensorTable(path, tuple(header), tuple(names[i] for i in taken), table, lines, notes)
+    return SensorTable(path, header, tuple(names[i] for i in taken), table, lines, notes)
 
 
 def _read_rows(
@@ -157,7 +171,7 @@ def _read_rows(
             raise FileFormatError(path, f"{len(row)} cells under {len(names)} column names", number)
         for i in taken:
             try:
-                values.append(float(row[i]) if row[i].strip() else math.nan)
+                values.append(math.nan if row[i].strip() in ("", "n/a") else float(row[i]))
             except ValueError as error:
                 hint = "write decimal points" if "," in row[i] else "leave a missing cell empty"
                 raise FileFormatError(

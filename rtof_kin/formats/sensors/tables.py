@@ -1,4 +1,4 @@
-"""Text tables of inertial sensors: plain CSV, Noraxon, x-IMU3, phones, OpenSense.
+"""Text tables of inertial sensors: plain CSV, Noraxon, Motion-BIDS, x-IMU3, phones, OpenSense.
 
 Plain CSV is for any logger. The first line names the columns, the others hold numbers; commas, decimal points, UTF-8;
 an empty cell or ``nan`` is a missing sample. ``time`` is in seconds and increases; without it the rate is declared,
@@ -19,6 +19,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +29,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.text import numbers_of, write_text
+from rtof_kin.core.files.text import load_json, numbers_of, write_text
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.channels import StreamChannels
 from rtof_kin.formats.sensors.readings import Readings, in_order, lost, sensor_log
@@ -37,6 +38,7 @@ from rtof_kin.formats.sensors.sensor_text import (
     MOST_HEADER_LINES,
     SensorTable,
     cells,
+    named_table,
     read_table,
     text_lines,
     unzoned_note,
@@ -149,6 +151,70 @@ def read_noraxon(path: Path, **declared: Any) -> SensorLog:
     table = read_table(path, _is_noraxon_header, lambda name: name.lower() == "time" or bool(_meaning(name)), True)
     labels, units = zip(*(found for name in table.names if (found := _meaning(name)) is not None), strict=True)
     return _labelled(table, NORAXON_TITLE, labels, units, declared)
+
+
+# Motion-BIDS: a ``*_motion.tsv`` without a line of names, which ``*_channels.tsv`` has (BIDS 1.9 and later, "Motion").
+#
+# Read are channels of type ACCEL, GYRO and MAGN, and of ORNT those of components quat_w, ..., in the units that are
+# stated; a sensor is a tracked point. Times are the channel of type LATENCY, s, else those of SamplingFrequency.
+
+BIDS_TITLE: Final = "Motion-BIDS"
+BIDS_MOTION: Final = "_motion.tsv"
+BIDS_COLUMNS: Final = ("name", "component", "type", "tracked_point", "units")  #: First columns of ``*_channels.tsv``
+_BIDS_LABELS: Final = {"ACCEL": "acc_", "GYRO": "gyr_", "MAGN": "mag_", "ORNT": ""}
+_FEWEST_CELLS: Final = 3
+
+
+def is_bids_motion(head: str) -> bool:
+    """Implement `files.Format.recognise`."""
+    try:
+        numbers = [float(cell) for cell in head.split("\n", 1)[0].replace("n/a", "nan").split("\t")]
+    except ValueError:
+        return False
+    return len(numbers) >= _FEWEST_CELLS
+
+
+def read_bids_motion(path: Path, **declared: Any) -> SensorLog:
+    """Implement `files.Format.read`; a declared `rate_hz` replaces latencies and sampling frequency."""
+    about = _describing(path, "_channels.tsv")
+    header, *rows = [[cell.strip() for cell in line.split("\t")] for _, line in text_lines(about) if line.strip()] or [
+        []
+    ]
+    if lacking := [name for name in BIDS_COLUMNS if name not in header]:
+        raise FileFormatError(about, f"has no column {lacking[0]}", 1)
+    if wrong := [number for number, row in enumerate(rows, 2) if len(row) != len(header)]:
+        raise FileFormatError(about, f"not as many cells as the {len(header)} columns", wrong[0])
+    columns, units = [dict(zip(header, row, strict=True)) for row in rows], list[str]()
+    names, taken, left = list[str](), list[int](), list[str]()
+    for number, (name, component, kind, point, unit) in enumerate([c[n] for n in BIDS_COLUMNS] for c in columns):
+        label = _BIDS_LABELS.get(kind, "") + component if kind != "ORNT" or component.startswith("quat_") else ""
+        if kind == "LATENCY" or (kind in _BIDS_LABELS and label):
+            names.append("time" if kind == "LATENCY" else label if point in ("", "n/a") else f"{point}.{label}")
+            units += [] if kind == "LATENCY" else ["" if unit == "n/a" else unit]
+            taken.append(number)
+        else:
+            names.append(name)
+            left.append(name)
+    if "time" not in names and declared.get("rate_hz") is None:
+        file = _describing(path, "_motion.json")
+        rate = load_json(file).get("SamplingFrequency")
+        if not isinstance(rate, int | float):
+            raise FileFormatError(file, "has no number SamplingFrequency")
+        declared["rate_hz"] = float(rate)
+    table = named_table(path, (), names, taken, "\t", text_lines(path))
+    notes = (f"channels left out: {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}",) if left else ()
+    labels = [name for name in table.names if name != "time"]
+    return _labelled(replace(table, notes=(*table.notes, *notes)), BIDS_TITLE, labels, units, declared)
+
+
+def _describing(path: Path, ending: str) -> Path:
+    """Return the file that describes a motion file: beside it or in a folder above, with no label that it lacks."""
+    own = {*path.name.removesuffix(BIDS_MOTION).split("_"), ""}
+    for folder in path.absolute().parents[:4]:
+        found = [one for one in folder.glob(f"*{ending}") if own >= {*one.name.removesuffix(ending).split("_")}]
+        if found:
+            return max(found, key=lambda one: len(one.name))
+    raise FileFormatError(path, f"numbers without names: its {ending[1:]} is neither beside it nor above; put it there")
 
 
 # Folders of x-io Technologies' x-IMU3: a folder per sensor, a CSV per kind of message.
