@@ -184,6 +184,8 @@ def export(
     output: Annotated[Path | None, written("the same, as for other commands")] = None,
     to: tuple[str, ...] = (),
     recording: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    code: str = "",
+    pdf: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     flip: bool = True,
     overwrite: Overwrite = False,
 ) -> None:
@@ -192,22 +194,27 @@ def export(
     Always writes the subject's URDF and files.json, which lists axes, units and names of every file. Unobserved frames
     are marked or missing in every format.
 
-    --to archive makes one ZIP file of recording, settings, versions and result, without names and video. --to onnx
-    writes a lifter, MOTION being its file or name (detections, live), as one graph from rays and sensor orientations
-    in world to poses in world; its inputs, outputs, joints and rate are in the metadata. It needs the package onnx.
+    --to archive makes one ZIP file of recording, settings, versions and result, without names and video. --to bids
+    makes a Motion-BIDS data set of the recorded sensors and the motion, fhir a bundle of observations of the summary,
+    redcap a row with its data dictionary, dicom a file of the report, printed to the PDF of --pdf: of a person's code.
+    --to onnx writes a lifter, MOTION being its file or name (detections, live), as one graph from rays and sensor
+    orientations in world to poses in world; inputs, outputs, joints and rate are in the metadata. It needs onnx.
 
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
         target: folder or file to write
-        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; archive; onnx
-        recording: recording of MOTION for the archive; default: that of run, or the demo
+        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; or one of
+            archive, bids, fhir, redcap, dicom, onnx
+        recording: recording of MOTION for archive and bids; default: that of run, or the demo
+        code: of the person, for bids, fhir, redcap and dicom; default: that of the session where it is one, else 01
+        pdf: the report as PDF, for dicom
         flip: of a lifter, estimate the mirrored scene too; without it faster and less exact
     """
     if (target is None) == (output is None):
         raise InvalidInputError("export: name one folder or file to write, as OUT or with -o OUT")
     written = output if target is None else target
     assert written is not None
-    if {"archive", "onnx"} & {*to}:
+    if {"archive", "bids", "fhir", "redcap", "dicom", "onnx"} & {*to}:
         if len(to) > 1:
             raise InvalidInputError(f"--to {to[0]}: one file of its own; other formats go to a folder of their own")
         if to[0] == "archive":
@@ -215,12 +222,17 @@ def export(
 
             write_result_archive(written, Path(motion), recording, overwrite)
             say(f"wrote {written}: recording, settings, versions and result, without names and video")
-        else:
+        elif to[0] == "onnx":
             from lifting.onnx_export import export_onnx
             from lifting.predict import Lifter
 
             check_new_file(written, overwrite)
             say(f"wrote {export_onnx(Lifter.load(Path(motion)), written, flip, overwrite)}")
+        else:
+            from rtof_kin.reporting.hospital import WRITERS, Result
+
+            WRITERS[to[0]](written, Result.of(Path(motion), code, recording=recording, pdf=pdf), overwrite)
+            say(f"wrote {written}")
         return
     from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
     from rtof_kin.core.files.folder import new_folder

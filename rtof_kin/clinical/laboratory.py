@@ -60,8 +60,8 @@ def trial_results(
         for kind, times in (("foot_strike", foot.strikes), ("foot_off", foot.offs))
         for time in times
     )
-    means = tuple(_means(found.gait)) if found.gait.is_gait else ()
-    return TrialResults(tuple(events), points, means, subject, mass_kg, found.paths.skeleton.height)
+    walked = tuple(means(found.gait)) if found.gait.is_gait else ()
+    return TrialResults(tuple(events), points, walked, subject, mass_kg, found.paths.skeleton.height)
 
 
 def plug_in_gait_angles(found: MotionAnalysis) -> dict[str, Array]:
@@ -106,7 +106,7 @@ def _moments(found: MotionAnalysis) -> dict[str, Array]:
     return out
 
 
-def _means(gait: GaitAnalysis) -> list[tuple[str, str, str, float]]:
+def means(gait: GaitAnalysis) -> list[tuple[str, str, str, float]]:
     """Means over the strides of walking, by side; steps are from strike to strike, of the other foot and this one."""
     out, feet, times = [], gait.events.feet, gait.events.times
     for side, own in gait.summary.items():

@@ -55,8 +55,7 @@ def _opened(
     """Return the names of the sensors and their samples."""
     path = data_path(table, or_folder=True)
     is_csv = _is_own_csv(path)
-    if path.suffix.lower() != ".npz" and not is_csv:
-        log = _read_log(table, skeleton, calibration.sensors if calibration is not None else ())
+    if (log := maker_log(table, skeleton, calibration.sensors if calibration is not None else ())) is not None:
         with naming(path):
             imus = imus_of_log(log)
         return imus.names, source.keep(imus)
@@ -161,11 +160,13 @@ def calibration_table(calibration: ImuCalibration) -> dict[str, Any]:
 # --- files of sensors' makers --------------------------------------------------------------------
 
 
-def _read_log(table: ImusTable, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
-    """Read the sensor files of a recording: those in use, by the segments that carry them, on the recording's clock.
-    Errors name file, field and remedy.
+def maker_log(table: ImusTable, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog | None:
+    """Read the sensor files of a recording: those in use, by the segments that carry them, on the recording's clock;
+    None where they are this package's own. Errors name file, field and remedy.
     """
     path = data_path(table, or_folder=True)
+    if path.suffix.lower() == ".npz" or _is_own_csv(path):
+        return None
     declared = {name: getattr(table, name) for name in ("rate_hz", *CHOICES)}
     log = read_sensor_log(path, **declared)
     with naming(table.path):

@@ -15,6 +15,7 @@ import re
 import stat
 import tempfile
 import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -65,9 +66,15 @@ def write_result_archive(
     check_new_file(path, overwrite)
     folder = motion_folder(result)
     summary = load_json(folder / "summary.json")
-    source, found = _recording_of(folder, summary, recording)
+    if (summary.get("run") or {}).get("lift_sha256"):
+        raise InvalidInputError(
+            f"{folder}: made with --lift, and the archive has the recording only; name the points in its [lift], and "
+            "reconstruct again without the option"
+        )
+    source, found = recording_of(folder, summary, recording)
     person = Session.of((summary.get("inputs") or {}).get("session") or {}).subject  # maybe of the person's file
-    names = _identifying(found, source, person)
+    files = [Path(lift.name).stem for lift in found.lifts]
+    names = identifying(found.session, (found.name, source.resolve().name), person, files)
     bare = replace(found, name="recording", session=Session(), notes="", acknowledgement="")
     with tempfile.TemporaryDirectory(prefix="rtof_kin_") as temporary:
         written = Path(temporary)
@@ -88,18 +95,13 @@ def write_result_archive(
     return Path(path)
 
 
-def _recording_of(result: Path, summary: dict[str, Any], given: str | Path | None) -> tuple[Path, Recording]:
-    """Find the recording of a result by the SHA-256 of its numbers."""
+def recording_of(result: Path, summary: Mapping[str, Any], given: str | Path | None) -> tuple[Path, Recording]:
+    """Find the recording of a result by the SHA-256 of its numbers; `InvalidInputError` where there is none."""
     run = summary.get("run")
     if not isinstance(run, dict) or "recording_sha256" not in run:
         raise InvalidInputError(
             f"{result}: does not say how it was made (by an earlier version, or in Python); run rtof-kin "
             "reconstruct again, then export that"
-        )
-    if run.get("lift_sha256"):
-        raise InvalidInputError(
-            f"{result}: made with --lift, and the archive has the recording only; name the points in its [lift], and "
-            "reconstruct again without the option"
         )
     near = (*(result.parent / name for name in _OF_RUN), model_path("demo"))
     for folder in near if given is None else (Path(given),):
@@ -114,18 +116,14 @@ def _recording_of(result: Path, summary: dict[str, Any], given: str | Path | Non
     )
 
 
-def _identifying(recording: Recording, folder: Path, person: str) -> re.Pattern[str]:
-    """Return a pattern of paths, names of videos, a person, and what the labels and the folder are called."""
-    session = recording.session
+def identifying(
+    session: Session, titles: Sequence[str], person: str = "", files: Sequence[str] = ()
+) -> re.Pattern[str]:
+    """Return a pattern of paths, names of videos, a person, files, and what the labels and titles say."""
     words = [
         word for label in (session.subject, session.operator, person) for word in (label, *re.split(r"[\W_]+", label))
     ]
-    titles = (recording.name, folder.resolve().name)
-    words += [
-        session.place,
-        *(Path(lift.name).stem for lift in recording.lifts),
-        *(title for title in titles if not (title.isalpha() and title.islower())),
-    ]
+    words += [session.place, *files, *(title for title in titles if not (title.isalpha() and title.islower()))]
     known = sorted({word for word in words if len(word) >= _SHORTEST}, key=len, reverse=True)
     names = "|".join(map(re.escape, known))
     return re.compile(f"{_PATH}|(?<![^\\W_])(?:{names})(?![^\\W_])" if names else _PATH, re.IGNORECASE)

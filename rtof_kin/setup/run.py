@@ -105,9 +105,9 @@ def run(
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(certificate=True), analysis or AnalysisSettings()
     setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
-    lifts = [split_convention(file)[0] for file in task.lift]
-    if missing := [file for file in lifts if not file.is_file()]:
-        raise FileFormatError(missing[0], "there is no such file of 3D points")
+    given = [*(split_convention(file)[0] for file in task.lift), *([] if task.events is None else [task.events])]
+    if missing := [file for file in given if not file.is_file()]:
+        raise FileFormatError(missing[0], "there is no such file")
     setup = setup if height is None else replace(setup, height=height)
     setup, own, person = replace(setup, lifter=task.lifter()), folder / RECORDING, task.person()
     how: dict[str, Any] = {"detect": detect, "overwrite": overwrite, "kept": kept, "progress": progress}
@@ -135,7 +135,7 @@ def run(
     del recording  # a long one is read in parts
     solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
     known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
-    step(MOTION, solved, own, str(task), str(settings), str(known), *lifts)
+    step(MOTION, solved, own, str(task), str(settings), str(known), *given)
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),

@@ -150,7 +150,7 @@ def test_two_people_are_chosen_without_detecting_again(
         (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
         (
             ("run", "WALK", "--size", SIZE, "--height", 1.7, "--lift", "a.trc"),
-            "a.trc: there is no such file of 3D points",
+            "a.trc: there is no such file",
         ),
         (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
         (("run", "WALK", "--only", "recording"), "give the video beside them, its calibration, or --size 1920x1080"),

@@ -14,6 +14,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -97,7 +98,11 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def read_table(
-    path: Path, is_header: Callable[[list[str]], bool], wanted: Callable[[str], bool], decimal_commas: bool = False
+    path: Path,
+    is_header: Callable[[list[str]], bool],
+    wanted: Callable[[str], bool],
+    decimal_commas: bool = False,
+    names_above: str = "",
 ) -> SensorTable:
     """Read the table of a text file. A last line that was cut off is left out, with a note.
 
@@ -105,12 +110,13 @@ def read_table(
         is_header: whether the cells of a line are the column names.
         wanted: whether the column of a name is read; other columns may hold any text.
         decimal_commas: whether 1,5 is one and a half where cells are not separated by commas.
+        names_above: line of column names of a file that has none.
 
     Raises:
         FileFormatError: unreadable, no column names, a name twice, no packet, a row of another length,
             or a cell that is no number; names the line.
     """
-    rows = text_lines(path)
+    rows: Iterator[tuple[int, str]] = chain([(0, names_above)] if names_above else (), text_lines(path))
     header: list[str] = []
     for number, line in rows:
         names = cells(line)
@@ -128,20 +134,6 @@ def read_table(
     delimiter = _delimiter(line)
     if decimal_commas and delimiter != ",":
         rows = ((number, row.replace(",", ".")) for number, row in rows)
-    return named_table(path, tuple(header), names, taken, delimiter, rows)
-
-
-def named_table(
-    path: Path,
-    header: tuple[str, ...],
-    names: list[str],
-    taken: list[int],
-    delimiter: str,
-    rows: Iterator[tuple[int, str]],
-) -> SensorTable:
-    """Read the taken ones of columns whose names are known; an empty cell or n/a is a missing sample. Errors as
-    `read_table`.
-    """
     table, lines, cut = _read_rows(path, names, taken, delimiter, rows)
     huge = np.argwhere(np.abs(table) > LARGEST_NUMBER)
     if len(huge):
@@ -149,7 +141,7 @@ def named_table(
         problem = f"column {names[taken[column]]}: {table[row, column]:g} is no measurement"
         raise FileFormatError(path, problem, lines[row])
     notes = (f"line {cut} was cut off and is left out",) if cut is not None else ()
-    return SensorTable(path, header, tuple(names[i] for i in taken), table, lines, notes)
+    return SensorTable(path, tuple(header), tuple(names[i] for i in taken), table, lines, notes)
 
 
 def _read_rows(

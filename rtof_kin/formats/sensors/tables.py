@@ -38,7 +38,6 @@ from rtof_kin.formats.sensors.sensor_text import (
     MOST_HEADER_LINES,
     SensorTable,
     cells,
-    named_table,
     read_table,
     text_lines,
     unzoned_note,
@@ -162,49 +161,40 @@ BIDS_TITLE: Final = "Motion-BIDS"
 BIDS_MOTION: Final = "_motion.tsv"
 BIDS_COLUMNS: Final = ("name", "component", "type", "tracked_point", "units")  #: First columns of ``*_channels.tsv``
 _BIDS_LABELS: Final = {"ACCEL": "acc_", "GYRO": "gyr_", "MAGN": "mag_", "ORNT": ""}
-_FEWEST_CELLS: Final = 3
+_BIDS_ROW: Final = re.compile(r"((n/a|[-+]?[\d.]+(e[-+]?\d+)?)(\t|\r?\n)){3}[^\n]*", re.IGNORECASE)
 
 
 def is_bids_motion(head: str) -> bool:
     """Implement `files.Format.recognise`."""
-    try:
-        numbers = [float(cell) for cell in head.split("\n", 1)[0].replace("n/a", "nan").split("\t")]
-    except ValueError:
-        return False
-    return len(numbers) >= _FEWEST_CELLS
+    return bool(_BIDS_ROW.match(head))
 
 
 def read_bids_motion(path: Path, **declared: Any) -> SensorLog:
     """Implement `files.Format.read`; a declared `rate_hz` replaces latencies and sampling frequency."""
     about = _describing(path, "_channels.tsv")
-    header, *rows = [[cell.strip() for cell in line.split("\t")] for _, line in text_lines(about) if line.strip()] or [
-        []
-    ]
-    if lacking := [name for name in BIDS_COLUMNS if name not in header]:
-        raise FileFormatError(about, f"has no column {lacking[0]}", 1)
-    if wrong := [number for number, row in enumerate(rows, 2) if len(row) != len(header)]:
-        raise FileFormatError(about, f"not as many cells as the {len(header)} columns", wrong[0])
-    columns, units = [dict(zip(header, row, strict=True)) for row in rows], list[str]()
-    names, taken, left = list[str](), list[int](), list[str]()
-    for number, (name, component, kind, point, unit) in enumerate([c[n] for n in BIDS_COLUMNS] for c in columns):
-        label = _BIDS_LABELS.get(kind, "") + component if kind != "ORNT" or component.startswith("quat_") else ""
-        if kind == "LATENCY" or (kind in _BIDS_LABELS and label):
-            names.append("time" if kind == "LATENCY" else label if point in ("", "n/a") else f"{point}.{label}")
-            units += [] if kind == "LATENCY" else ["" if unit == "n/a" else unit]
-            taken.append(number)
-        else:
-            names.append(name)
+    header, *rows = [[cell.strip() for cell in line.split("\t")] for _, line in text_lines(about) if line] or [[""]]
+    lacking = [name for name in BIDS_COLUMNS if name not in header]
+    if lacking or any(len(row) != len(header) for row in rows):
+        raise FileFormatError(
+            about, f"has no column {lacking[0]}" if lacking else "rows of other lengths than the first"
+        )
+    names, units, left = list[str](), dict[str, str](), list[str]()
+    for name, component, kind, point, unit in ([row[header.index(one)] for one in BIDS_COLUMNS] for row in rows):
+        if kind in _BIDS_LABELS and (kind != "ORNT" or component.startswith("quat_")):
+            name = f"{'' if point == 'n/a' else point}.{_BIDS_LABELS[kind]}{component}".lstrip(".")
+            units[name] = "" if unit == "n/a" else unit
+        elif kind != "LATENCY":
             left.append(name)
+        names.append("time" if kind == "LATENCY" else name)
     if "time" not in names and declared.get("rate_hz") is None:
         file = _describing(path, "_motion.json")
         rate = load_json(file).get("SamplingFrequency")
         if not isinstance(rate, int | float):
             raise FileFormatError(file, "has no number SamplingFrequency")
         declared["rate_hz"] = float(rate)
-    table = named_table(path, (), names, taken, "\t", text_lines(path))
-    notes = (f"channels left out: {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}",) if left else ()
-    labels = [name for name in table.names if name != "time"]
-    return _labelled(replace(table, notes=(*table.notes, *notes)), BIDS_TITLE, labels, units, declared)
+    table = read_table(path, lambda _: True, lambda name: name in units or name == "time", names_above="\t".join(names))
+    notes = (*table.notes, *([f"channels left out: {', '.join(left)}"] if left else ()))
+    return _labelled(replace(table, notes=notes), BIDS_TITLE, [*units], [*units.values()], declared)
 
 
 def _describing(path: Path, ending: str) -> Path:
