@@ -79,10 +79,11 @@ def motion_system(motion: MotionSource) -> System:
     channels = list[tuple[str, ...]]()
     for name in motion.skeleton.names:
         channels += [*_channels(name, "POS", "m", "world"), *_channels(name, "ORNT", "n/a", "world")]
-    for joint in motion.skeleton.table.joints:
-        for dof in joint.dofs:
-            words = f"{dof.clinical}; a leading - says that its sign is the opposite" if dof.clinical else "n/a"
-            channels.append((f"{dof.urdf}_JNTANG", "n/a", "JNTANG", joint.name, "deg", joint.name, "joint", words))
+    dofs = {dof.urdf: (joint.name, dof.clinical) for joint in motion.skeleton.table.joints for dof in joint.dofs}
+    for name in motion.skeleton.dof_names:  # in the order of the configuration
+        joint, words = dofs[name]
+        words = f"{words}; a leading - says that its sign is the opposite" if words else "n/a"
+        channels.append((f"{name}_JNTANG", "n/a", "JNTANG", joint, "deg", joint, "joint", words))
 
     def blocks() -> Iterator[Array]:
         for block, masks in motion.observed_blocks():

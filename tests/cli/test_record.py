@@ -148,10 +148,8 @@ def test_two_people_are_chosen_without_detecting_again(
     [
         (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
         (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
-        (
-            ("run", "WALK", "--size", SIZE, "--height", 1.7, "--lift", "a.trc"),
-            "a.trc: there is no such file",
-        ),
+        (("run", "WALK", "--size", SIZE, "--height", 1.7, "--lift", "a.trc"), "a.trc: there is no such file"),
+        (("run", "WALK", "--size", SIZE, "--height", 1.7, "--events", "a.c3d"), "a.c3d: there is no such file"),
         (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
         (("run", "WALK", "--only", "recording"), "give the video beside them, its calibration, or --size 1920x1080"),
         (("run", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),

@@ -15,6 +15,7 @@ from detector_support import walking, watching
 from marker_support import planted
 from setup_support import beside, walker, write_keypoints
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.markers import write_trc
 from rtof_kin.recording.recording import Recording
@@ -60,15 +61,19 @@ def test_the_file_of_another_person_is_named_first(short: Path, tmp_path: Path, 
     assert all(rows[-1]["refused"] for rows in kept["history"].values())
 
 
-def test_run_takes_the_height_from_the_file(tmp_path: Path, cli: Any) -> None:
+def test_run_takes_the_height_from_the_file_and_events_of_another_program(tmp_path: Path, cli: Any) -> None:
     file, seen = tmp_path / "P07.toml", beside(walker(), 0.4, (1100.0, 400.0))
     given, camera = write_keypoints(tmp_path / "walk.npz", walker(), seen), tmp_path / "calib.toml"
     write_camera_toml(camera, {"camera": watching(walking())})
     command = ("run", given, camera, "-o", tmp_path / "out", "--no-figures", "--no-certificate", "--subject", file)
     assert "no such file; --update-subject makes it" in cli.refused(*command).err
     assert "height is not given" in cli.refused(*command, "--update-subject").err
+    (tmp_path / "events.txt").write_text("\tLHS\nITEM\tX\n1\t0.75\n")
+    command = (*command, "--events", tmp_path / "events.txt")
     file.write_text('subject = "P07"\nheight_m = { value = 1.72, sd = 0.01 }\nmass_kg = { value = 70 }\n')
     cli.ok(*command, "--update-subject").says("the person is 1.72 m tall", "subject P07: ")
+    with MotionReader(tmp_path / "out" / "motion") as motion:
+        assert [(one.kind, one.what, one.start_s) for one in motion.corrections][1:] == [("foot_strike", "left", 0.75)]
     text = file.read_text()
     assert "height_m = { value = 1.72, sd = 0.01 }" in text  # it does not count again
     again = cli.ok(*command, "--update-subject")

@@ -161,7 +161,7 @@ BIDS_TITLE: Final = "Motion-BIDS"
 BIDS_MOTION: Final = "_motion.tsv"
 BIDS_COLUMNS: Final = ("name", "component", "type", "tracked_point", "units")  #: First columns of ``*_channels.tsv``
 _BIDS_LABELS: Final = {"ACCEL": "acc_", "GYRO": "gyr_", "MAGN": "mag_", "ORNT": ""}
-_BIDS_ROW: Final = re.compile(r"((n/a|[-+]?[\d.]+(e[-+]?\d+)?)(\t|\r?\n)){3}[^\n]*", re.IGNORECASE)
+_BIDS_ROW: Final = re.compile(r"((n/a|nan|[-+]?[\d.]+(e[-+]?\d+)?)(\t(?!\n)|(?=\r?\n))){3,}\r?\n", re.IGNORECASE)
 
 
 def is_bids_motion(head: str) -> bool:
