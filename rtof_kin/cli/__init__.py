@@ -21,7 +21,7 @@ COMMANDS: Final = {
     "look": {"inspect": "files", "report": "reporting", "view": "view", "overlay": "view"},
     "compare": {"compare": "compare", "study": "compare", "gait-reference": "compare"},
     "plan": {"plan": "compare"},
-    "connect": {"export": "files", "live": "live"},
+    "connect": {"export": "files", "retarget": "files", "live": "live"},
     "develop": {"train": "training", "evaluate": "evaluation"},
 }
 """What a person wants -> command -> module that has it."""

@@ -1,4 +1,4 @@
-"""Commands on files: inspect identifies and checks them, export writes motions in other formats."""
+"""Commands on files: inspect identifies and checks them, export writes motions in other formats, retarget on robots."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import Overwrite, command, written
-from rtof_kin.cli.terminal import out, print_files, say
+from rtof_kin.cli.options import Output, Overwrite, command, written
+from rtof_kin.cli.terminal import line, out, print_files, say
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import check_new_file, new_file
 
@@ -244,3 +244,41 @@ def export(
     with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
         write_motion_files(folder, reader, formats, partial(results_of, folder=motion_folder(motion)))
     print_files(written)
+
+
+@command
+def retarget(
+    motion: Path,
+    /,
+    *,
+    robot: Annotated[Path, Parameter(metavar="FILE.urdf")],
+    map: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    output: Output,
+    overwrite: Overwrite = False,
+) -> None:
+    """Put a person's motion on a humanoid robot.
+
+    MOTION is the output of reconstruct or run. Feet that stand are held on the floor, limits of angles and velocities
+    are kept, and what nobody observed is followed weakly. The first line says what was reached: slip of the feet,
+    limits, distance from the targets. Needs the extra: pip install 'rtof-kin[robots]'. docs/robots.md has examples.
+
+    Args:
+        motion: output folder of reconstruct or run, or its motion.h5
+        robot: the robot's URDF; its meshes are not needed
+        map: which link follows which segment: talos, gr1, g1, h1, or a TOML file of yours; default: the one whose links
+            the robot has
+    """
+    from rtof_kin.body.motion_file import MotionReader, motion_path
+    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.robots.retarget import FIGURES, RobotMotion
+
+    check_replaceable(output, FIGURES, overwrite)
+    with MotionReader(motion_path(motion)) as reader:
+        found = RobotMotion.of(reader, robot, map)
+    with new_folder(output, FIGURES, overwrite) as folder:
+        found.write(folder)
+    track = found.robot.track
+    line("robot", f"{found.robot.map.name}: {track}")
+    if track.failures:
+        line("doubtful", f"{len(track.failures)} frames without a step; {'; '.join(track.failures[:3])}", "bold red")
+    print_files(output)

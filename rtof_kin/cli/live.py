@@ -60,6 +60,7 @@ def live(
     output: Annotated[Path | None, written("record everything into a new folder", "FOLDER")] = None,
     send: Annotated[list[str] | None, Parameter(metavar="OUTPUT")] = None,
     browser: bool = False,
+    robot: Annotated[Path | None, Parameter(metavar="FILE.urdf")] = None,
     settings: Annotated[
         OnlineSettings, Fields(rate_hz="fps", lag_s="lag", video_delay_s="video-delay", defaults={"lag_s": 0.25})
     ],
@@ -95,6 +96,7 @@ def live(
         send: lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of this machine;
             may be given several times
         browser: show the skeleton in the browser
+        robot: also send the joints of this robot, which follows the person, see rtof-kin retarget
         refine: what is refined while the person moves: delay (of the video), heading, mounting (of the sensors),
             with commas between, or none; with -o into FOLDER/calibration.toml. Open more than the delay where
             it is known to be wrong
@@ -115,13 +117,14 @@ def live(
     from rtof_kin.calibration.result import read_self_calibration_toml
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimator import OnlineEstimator
-    from rtof_kin.live.open_sources import open_sinks, open_sources
+    from rtof_kin.live.open_sources import RobotSink, open_sinks, open_sources
     from rtof_kin.live.recorder import Recorder
     from rtof_kin.live.refinement import refinement_priors
     from rtof_kin.live.session import LiveSession
     from rtof_kin.reconstruction.person import Person
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
+    from rtof_kin.robots.retarget import Retargeter
 
     with ended_by_signals(), ExitStack() as stack:
         if output is not None:
@@ -146,6 +149,9 @@ def live(
             stack.callback(source.close)
         sinks = list(open_sinks(send or [], take))
         servers = _served(sinks, take, browser)
+        if robot is not None:
+            follower = Retargeter(take.skeleton, robot, floor=take.floor_height)
+            sinks.append(RobotSink(follower, sinks))
         for sink in sinks:
             stack.callback(sink.close)
         landmarks = _points_of(streams.sources[0]) if camera else ()
@@ -168,6 +174,8 @@ def live(
         )
         summary = _run(session, display, servers, streams, seconds)
         _print_summary(summary, estimator.calibration, output)
+        if robot is not None:
+            line("robot", f"{follower.map.name}: {follower.track}")
 
 
 def _print_recorded(folder: Path | str) -> None:

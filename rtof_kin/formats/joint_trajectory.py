@@ -61,15 +61,15 @@ def write_ros_trajectory(folder: str | Path, motion: Motion | MotionSource) -> l
         suffix = f"_{number}" if len(known) > 1 else ""
         joints, base = (folder / f"ros_{kind}_trajectory{suffix}.json" for kind in ("joint", "base"))
         piece, zero = source[start:stop], source.times[0]
-        _write_message(joints, [skeleton.dof_names[i] for i in kept], _joint_points(piece, zero, kept))
-        _write_message(base, [skeleton.root], _base_points(piece, zero))
+        write_message(joints, [skeleton.dof_names[i] for i in kept], _joint_points(piece, zero, kept))
+        write_message(base, [skeleton.root], _base_points(piece, zero))
         paths += [joints, base]
     return paths
 
 
-def _write_message(path: Path, joint_names: list[str], points: Iterable[Any]) -> None:
-    """Write a trajectory point by point, as `json.dumps` would as a whole."""
-    head = json.dumps({"header": ros_header(0.0), "joint_names": joint_names, "points": []})
+def write_message(path: Path, joint_names: Sequence[str], points: Iterable[Any]) -> None:
+    """Write a trajectory, of points of one JSON each, over an existing file."""
+    head = json.dumps({"header": ros_header(0.0), "joint_names": list(joint_names), "points": []})
     with new_file(path, overwrite=True) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
         stream.write(head.removesuffix("]}"))
         for number, point in enumerate(points):

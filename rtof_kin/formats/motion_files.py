@@ -15,6 +15,7 @@ ros         ros_joint_..., ros_base_trajectory.json      bridged; a file each si
 osim        skeleton.osim                                (a body has none)
 mot, sto    motion.mot, motion.sto                       a file each side: motion_1.mot, motion_2.mot
 bvh         motion.bvh                                   the same
+mjcf        person.xml, motion_qpos.npz                  the same, of the second: motion_1_qpos.npz
 trc, c3d    motion.trc, motion.c3d                       empty cells, residual -1; also of single
                                                          unobserved landmarks
 ==========  ===========================================  =============================================
@@ -62,6 +63,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import write_bvh
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
+from rtof_kin.formats.mjcf import floor_of, to_mjcf, write_qpos
 from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
 from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
@@ -325,6 +327,17 @@ def _npz(folder: Path, motion: MotionSource) -> Files:
     return {"motion.npz": {"frames": [0, len(motion)], "time_zero_s": 0.0}}
 
 
+def _mjcf(folder: Path, motion: MotionSource) -> Files:
+    def write(path: Path, part: MotionSource) -> None:
+        q = np.concatenate([block.motion.q for block in part.blocks()])
+        write_qpos(path, part.times, q, part.skeleton.dof_names)
+
+    floor, lowered = floor_of(motion)
+    files = _pieces("_qpos.npz", write)(folder, motion)
+    write_text(folder / "person.xml", to_mjcf(motion.skeleton, floor), overwrite=True)
+    return {"person.xml": {"floor_m": floor, "floor_lowered_m": lowered}, **files}
+
+
 def _osim(folder: Path, motion: MotionSource) -> Files:
     write_osim(folder / "skeleton.osim", motion.skeleton)
     return {"skeleton.osim": {}}
@@ -385,6 +398,12 @@ FORMATS: Final[dict[str, Format]] = {
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",
         _pieces(".bvh", lambda path, m: write_bvh(path, joint_tree(m), len(m)), has_times=False),
+        even=True,
+    ),
+    "mjcf": Format(
+        "MuJoCo: links, revolutes and masses of the URDF; the floor is where the feet stand, or lower, so that none is "
+        "deeper than 1 cm; qpos in their order: root x y z, quaternion w x y z, rad; z up, m; even times",
+        _mjcf,
         even=True,
     ),
 }

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, SourceError, UnknownNameError
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map, same_sensor
@@ -23,6 +24,7 @@ from rtof_kin.live.samples import Clock, OnlineEstimate, Sink, Source
 from rtof_kin.live.video import VideoSource, is_webcam
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
+from rtof_kin.robots.retarget import Retargeter, sigmas
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import Detector, choose_detector
 
@@ -236,15 +238,12 @@ class LslOutlet:
         """
         self._pylsl = load_pylsl()
         self._skeleton = skeleton
+        self._name, self._robot = name, cast(Any, None)
         self._shift_s: float | None = None
         host = f"rtof-kin:{name}@{socket.gethostname()}"
         rows = list(channels(skeleton))
         info = self._pylsl.StreamInfo(name, "MoCap", len(rows), _IRREGULAR, "float32", host)
-        described = info.desc().append_child("channels")
-        for row in rows:
-            channel = described.append_child("channel")
-            for field, text in row.items():
-                channel.append_child_value(field, text)
+        _describe(info, rows)
         facts = info.desc().append_child("skeleton")
         facts.append_child_value("name", skeleton.name)
         facts.append_child_value("frame", "world: z up, metres; base: root link in world")
@@ -279,6 +278,16 @@ class LslOutlet:
         self.tell(f"poses are on another clock than LSL's; stamps are their times {apart:+.3f} s")
         return apart
 
+    def send_robot(self, time: float, joints: Sequence[str], root: str, q: Array) -> None:
+        """Send base position, m, quaternion x y z w and angles, rad, of a robot as a stream NAME_robot; time: s."""
+        if self._robot is None:
+            name, kinds = f"{self._name}_robot", ["meters"] * 3 + ["quaternion"] * 4 + ["radians"] * len(joints)
+            info = self._pylsl.StreamInfo(name, "MoCap", len(q), _IRREGULAR, "float32", f"{name}:{root}")
+            labels = (*BASE_COLUMNS, *joints)
+            _describe(info, [{"label": n, "unit": unit} for n, unit in zip(labels, kinds, strict=True)])
+            self._robot = self._pylsl.StreamOutlet(info, max_buffered=_BUFFER_S)
+        self._robot.push_sample(q.astype(np.float32), time + (self._shift_s or 0.0))
+
     def tell(self, sentence: str) -> None:
         """Send a message about the streams."""
         if self._messages is not None:
@@ -286,7 +295,45 @@ class LslOutlet:
 
     def close(self) -> None:
         """Close both streams; may be called twice."""
-        self._outlet = self._messages = None
+        self._outlet = self._messages = self._robot = None
+
+
+def _describe(info: Any, rows: Sequence[Mapping[str, str]]) -> None:
+    """Write the metadata of the channels of a stream."""
+    described = info.desc().append_child("channels")
+    for row in rows:
+        channel = described.append_child("channel")
+        for field, text in row.items():
+            channel.append_child_value(field, text)
+
+
+class RobotSink:
+    """Puts every estimate on a robot and sends its configuration to outputs of the session, which come first."""
+
+    def __init__(self, robot: Retargeter, outputs: Sequence[Sink]):
+        """Take the outputs that can send a robot's configuration; `SourceError` where none can."""
+        self._robot, self._outputs = robot, [one for one in outputs if hasattr(one, "send_robot")]
+        if not self._outputs:
+            raise SourceError(f"--robot: nobody would get its joints; give --send {OUTPUTS}, or --browser")
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        """Retarget an estimate and send it."""
+        poses, robot = estimate.poses[-1:], self._robot
+        known = None if estimate.confidence is None else estimate.confidence[-1:]
+        spread = (one[0] for one in sigmas(poses, robot.skeleton, known))
+        q, time = (
+            robot.step(float(poses.times[0]), poses.p_world_joint[0], poses.R_world_bone[0], *spread),
+            poses.times[0],
+        )
+        for output in self._outputs:
+            output.send_robot(float(time), robot.joints, robot.root, q)
+
+    def tell(self, sentence: str) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """End the stances of the feet."""
+        self._robot.finish()
 
 
 def channels(skeleton: SkeletonModel) -> Iterator[dict[str, str]]:

@@ -5,6 +5,7 @@ Each WebSocket message is one JSON text, told apart by its keys:
 ============ ========================================================================================
 ``skeleton`` first, once: `JointStates.description`, and ``floor_m``, height of the floor or null
 ``header``   an estimate, see `JointStates`
+``robot``    JointState of a robot that follows, and ``root``, its base link in its world, as those of an estimate
 ``status``   states of the streams, see `Monitor.status`
 ``message``  a sentence
 ============ ========================================================================================
@@ -20,7 +21,7 @@ import json
 import logging
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -302,6 +303,13 @@ class WebSocketServer:
             InvalidInputError: it is not plain, or has NaN.
         """
         self._call(self._put, "status", _text({"status": dict(status)}))
+
+    def send_robot(self, time: float, joints: Sequence[str], root: str, q: Array) -> None:
+        """Send base position, m, quaternion x y z w and angles, rad, of a robot; time: s."""
+        header, row = ros_header(time), q.tolist()
+        base = {"header": header, "child_frame_id": root, "transform": ros_transform(row)}
+        state = {"header": header, "name": list(joints), "position": row[7:], "velocity": [], "effort": []}
+        self._call(self._put, "robot", _text({"robot": state | {"root": base}}))
 
     def close(self) -> None:
         """Stop; may be called twice."""

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
-from rtof_kin.body.soles import FEET
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
 
 Triple = tuple[float, float, float]
-SHIPPED: Final = "robots"  #: Folder of the shipped maps
 
 
 class Link(BaseModel):
-    """A link and the segment that it follows.
-
-    Tolerances are standard deviations, whose inverses are the weights. Turns are about the axes of the posture with
-    hanging arms, x forward, y left, z up, whatever the axes of the link are.
-    """
+    """A link and the segment that it follows; tolerances are standard deviations, whose inverses are the weights."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     name: str
@@ -30,8 +24,8 @@ class Link(BaseModel):
     parent: str = ""  #: Link that carries this one; '': the first of all
     position_mm: PositiveFloat | None = None  #: Tolerance of its position; None: it has no target
     orientation_deg: PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = None
-    heel_mm: Triple | None = None
-    toe_mm: Triple | None = None  #: The ends of a foot's sole, in the frame of the link
+    """Tolerance of its orientation, or of turns about x forward, y left and z up in the posture with hanging arms."""
+    sole_mm: tuple[Triple, Triple] | None = None  #: Heel and toe of a foot, in the frame of the link
 
 
 class RobotMap(BaseModel):
@@ -40,36 +34,30 @@ class RobotMap(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     link: tuple[Link, ...]
     posture_deg: dict[str, float] = {}
+    name: str = ""
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a file, in which ``{side}`` and ``{Side}`` stand for left and right.
-
-        Raises:
-            FileFormatError: damaged; a parent does not come before its child; not one foot of each side.
+        """Read a file, in which ``{side}`` and ``{Side}`` stand for left and right; `FileFormatError`: it is damaged, a
+        parent does not come before its child, or there is not a sole of each foot.
         """
         try:
-            table = tomllib.loads(read_text(path, "a table of a robot's links, TOML"))
-            rows: list[dict[str, object]] = []
-            for row in table.get("link", []):
-                sides = ("left", "right") if any("{side}" in str(value) for value in row.values()) else ("",)
-                rows += [
-                    {key: v.format(side=side, Side=side.title()) if isinstance(v, str) else v for key, v in row.items()}
-                    for side in sides
-                ]
-            found = cls.model_validate(table | {"link": rows})
-        except (tomllib.TOMLDecodeError, AttributeError, KeyError, IndexError) as error:
-            raise FileFormatError(path, str(error)) from error
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise FileFormatError(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+            text = read_text(path, "a table of a robot's links, TOML")
+            head, *rows = text.split("[[link]]")
+            left, right = (
+                [row.replace("{side}", side.lower()).replace("{Side}", side) for row in rows]
+                for side in ("Left", "Right")
+            )
+            both = [row for pair in zip(left, right, strict=True) for row in dict.fromkeys(pair)]
+            found = cls.model_validate(tomllib.loads("[[link]]".join([head, *both])) | {"name": path.stem})
+        except (tomllib.TOMLDecodeError, LookupError, ValidationError) as error:
+            raise FileFormatError(path, " ".join(str(error).split())) from error
         names = [one.name for one in found.link]
         for i, one in enumerate(found.link):
-            if one.name in names[:i] or (one.parent and one.parent not in names[:i]):
+            if one.name in names[:i] or one.parent not in ("", *names[:i]):
                 raise FileFormatError(path, f"link {one.name}: stands twice, or before its parent {one.parent}")
-        feet = sorted(one.segment for one in found.link if one.heel_mm and one.toe_mm and one.position_mm)
-        if feet != sorted(FEET):
-            raise FileFormatError(path, f"need heel_mm, toe_mm and position_mm of a link for each of {', '.join(FEET)}")
+        if sorted(one.segment for one in found.link if one.sole_mm and one.position_mm) != ["LeftFoot", "RightFoot"]:
+            raise FileFormatError(path, "needs sole_mm and position_mm of one link for LeftFoot and one for RightFoot")
         return found
 
     @classmethod
@@ -77,19 +65,14 @@ class RobotMap(BaseModel):
         """Return the map that a word names, a file or a shipped one; None: the shipped one of these links.
 
         Raises:
-            UnknownNameError: a link or name is not known. InvalidInputError: no shipped map is of these links.
+            UnknownNameError: a link is not known. InvalidInputError: no shipped map is of these links.
         """
-        folder = model_path(SHIPPED)
-        shipped = {path.stem: path for path in sorted(folder.glob("*.toml"))}
-        if word is None:
-            for path in shipped.values():
-                found = cls.read(path)
-                if {one.name for one in found.link} <= links:
-                    return found
-            known = ", ".join(shipped)
-            raise InvalidInputError(f"no map ships for the links of this robot, only for {known}; give --map FILE.toml")
-        path = shipped.get(word, Path(word))
-        found = cls.read(path)
-        if missing := [one.name for one in found.link if one.name not in links]:
-            raise UnknownNameError(f"link of {path.name} in the robot", missing, sorted(links))
-        return found
+        shipped = {path.stem: path for path in sorted(model_path("robots").glob("*.toml"))}
+        for path in shipped.values() if word is None else [shipped.get(word, Path(word))]:
+            found = cls.read(path)
+            missing = [one.name for one in found.link if one.name not in links]
+            if word is not None and missing:
+                raise UnknownNameError(f"link of {path.name} in the robot", missing, sorted(links))
+            if not missing:
+                return found
+        raise InvalidInputError(f"no map ships for this robot's links, only {', '.join(shipped)}; give --map FILE.toml")
