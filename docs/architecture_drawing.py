@@ -27,6 +27,7 @@ PLACES = {
     "reconstruction": (1.25, 3, "recording to motion:\nprepare, lift, SF², solve"),
     "calibration": (0.3, 4, "delay, mounting, bones\nfrom the motion"),
     "lifting": (2.2, 4, "network: 2D to 3D\n(beside rtof_kin)"),
+    "robots": (4.2, 6, "motions on\nhumanoid robots"),
     "clinical": (4.0, 4, "angles, gait,\nrepetitions, torques"),
     "markers": (1.1, 5, "optical laboratories:\nbody, IK"),
     "solve": (0.0, 6, "energy, fragments,\nuncertainty"),
@@ -42,7 +43,19 @@ PLACES = {
 }
 """Folder -> column, row, what it is."""
 KINDS = {
-    "for people": ("cli", "app", "setup", "live", "view", "protocols", "batch", "plan", "reporting", "clinical"),
+    "for people": (
+        "cli",
+        "app",
+        "setup",
+        "live",
+        "view",
+        "protocols",
+        "batch",
+        "plan",
+        "reporting",
+        "clinical",
+        "robots",
+    ),
     "the method": ("reconstruction", "calibration", "lifting", "markers", "solve"),
     "its data": ("simulation", "datasets", "recording"),
     "foundations": ("inertial", "vision", "formats", "body", "data", "core"),

@@ -31,6 +31,7 @@ FOLDERS = {
     "reporting": "figures, report, audit, export",
     "setup": "raw files to a recording, and on to a report",
     "plan": "expected errors of a recording before it is made",
+    "robots": "motions on humanoid robots",
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",

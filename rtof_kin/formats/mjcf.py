@@ -71,15 +71,11 @@ def _text(vector: Sequence[float] | Array) -> str:
     return " ".join(f"{value:.12g}" for value in np.asarray(vector, dtype=float) + 0.0)
 
 
-def to_qpos(q: Array) -> Array:
-    """Return configurations (T, nq) of Pinocchio with the quaternion as MuJoCo has it, w x y z."""
-    return np.concatenate([q[:, :3], q[:, [6, 3, 4, 5]], q[:, 7:]], axis=1)
-
-
 def write_qpos(path: Path, times: Array, q: Array, joints: Sequence[str]) -> None:
     """Write ``qpos`` (T, nq): base position, m, quaternion w x y z, angles, rad, in the order of ``joint_names``;
     ``times`` (T,), s, and ``fps``. q: (T, nq) of Pinocchio. An existing file is replaced.
     """
     fps = 1 / np.median(np.diff(times)) if len(times) > 1 else np.nan
-    arrays = {"qpos": to_qpos(q), "times": times, "fps": np.array(fps), "joint_names": np.array(joints)}
+    qpos = np.concatenate([q[:, :3], q[:, [6, 3, 4, 5]], q[:, 7:]], axis=1)
+    arrays = {"qpos": qpos, "times": times, "fps": np.array(fps), "joint_names": np.array(joints)}
     write_npz(path, arrays, overwrite=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from rtof_kin.live.samples import Clock, OnlineEstimate, Sink, Source
 from rtof_kin.live.video import VideoSource, is_webcam
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
-from rtof_kin.robots.retarget import Retargeter, sigmas
+from rtof_kin.robots.retarget import Retargeter
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import Detector, choose_detector
 
@@ -238,7 +238,8 @@ class LslOutlet:
         """
         self._pylsl = load_pylsl()
         self._skeleton = skeleton
-        self._name, self._robot = name, cast(Any, None)
+        self._name = name
+        self._robot: Any = None
         self._shift_s: float | None = None
         host = f"rtof-kin:{name}@{socket.gethostname()}"
         rows = list(channels(skeleton))
@@ -318,15 +319,9 @@ class RobotSink:
 
     def send(self, estimate: OnlineEstimate) -> None:
         """Retarget an estimate and send it."""
-        poses, robot = estimate.poses[-1:], self._robot
-        known = None if estimate.confidence is None else estimate.confidence[-1:]
-        spread = (one[0] for one in sigmas(poses, robot.skeleton, known))
-        q, time = (
-            robot.step(float(poses.times[0]), poses.p_world_joint[0], poses.R_world_bone[0], *spread),
-            poses.times[0],
-        )
+        q = self._robot.follow(estimate.poses, estimate.confidence)[-1]
         for output in self._outputs:
-            output.send_robot(float(time), robot.joints, robot.root, q)
+            output.send_robot(float(estimate.poses.times[-1]), self._robot.joints, self._robot.root, q)
 
     def tell(self, sentence: str) -> None:
         """Do nothing."""

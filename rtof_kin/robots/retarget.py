@@ -9,7 +9,7 @@ Weights. A residual has the tolerance of the map and the error of the person's p
 is ``1 / sqrt(tolerance^2 + sigma^2)``. What nobody observed is a prior's, with a large sigma: it is followed weakly.
 
 Contacts. A heel or ball that is low and slow stands: the robot's heel or toe is held where it was then, on the floor,
-until the person's has left. Meanwhile its foot has no target but not to roll. A point below the floor is lifted.
+until the person's has left. Meanwhile its foot has no target but not to roll. No point may sink into the floor.
 
 A frame is a few quadratic programs (`pink.build_ik`, solved by DAQP) within the limits of angles and velocities.
 """
@@ -43,11 +43,10 @@ from rtof_kin.robots.robot_map import RobotMap
 
 UNOBSERVED_M, UNOBSERVED, UNSEEN_TURN = 0.3, 1.0, 0.5
 """[m], [rad], [rad] sigma of a position and an orientation that nobody observed, and of one with a known direction."""
-LOW, HIGH = 0.04, 0.06  #: [m] over the floor: a point of the sole stands from below the first to above the second
-SLOW, FAST, WITHIN = 0.35, 0.7, 0.05  #: [m/s] the same of its speed; [s] over which that is measured
+LOW, HIGH, SLOW, FAST, WITHIN = 0.04, 0.06, 0.15, 0.3, 0.05
+"""[m] over the floor, [m/s]: a point stands from below `LOW` and `SLOW` to above `HIGH` or `FAST`; [s] of a speed."""
 STEPS, FIRST_STEPS = 3, 100  #: Quadratic programs for a frame, and for the first, which has no limit of velocities
-CONTACT_M, LIFTED_M, LEVEL = 0.001, 0.005, np.radians(2.0)
-"""[m], [m], [rad] tolerance of a point that stands, one below the floor, and roll and pitch of a standing foot."""
+CONTACT_M, LEVEL = 0.001, np.radians(2.0)  #: [m] tolerance of a point that stands; [rad] of its foot's roll and pitch
 POSTURE, DAMPING = np.radians(60.0), 0.5  #: [rad] tolerance of angles about the posture; [1/rad] weight of a step
 FIGURES: Final = "retarget.json"  #: File of the figures
 _FLOOR_FRAMES, _LONGEST_STEP = 1800, 0.1  # Of whose lowest points a live floor is the median; [s] that limits allow for
@@ -59,11 +58,11 @@ class Tracking:
     """What was reached."""
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    """By frame: angle, velocity beyond its limit; lowest point of the soles, m; means of the distances of hands and soles
-    from their targets, m, and of the turns of links, rad; time, s.
-    """
+    """By frame: angle, velocity beyond its limit; lowest point of the soles, m; mean distance of hands and soles from
+    their targets, m; mean turn of links from theirs, rad; time, s."""
     slips: list[float] = field(default_factory=list)  #: [m] farthest along the floor of each point, by stance
     failures: list[str] = field(default_factory=list)  #: Sentences, with the time
+    farthest: tuple[float, str, float] = (0.0, "", 0.0)  #: Hand or foot farthest from its target: m, link, s
 
     def figures(self) -> dict[str, float]:
         """Return mm, degrees, shares of the frames and ms; NaN where there is none."""
@@ -80,7 +79,8 @@ class Tracking:
         return (
             f"feet slip {found['slip_mm']:.1f} mm (most {found['most_mm']:.1f}) in {len(self.slips)} stances; limits "
             f"broken in {broken} of {len(self.rows)} frames; hands and feet {found['ends_mm']:.0f} mm, links "
-            f"{found['turns_deg']:.1f} deg from their targets; {found['p99_ms']:.0f} ms a frame (99 %)"
+            f"{found['turns_deg']:.1f} deg from their targets, farthest {self.farthest[1]}, "
+            f"{1000 * self.farthest[0]:.0f} mm at {self.farthest[2]:.1f} s; {found['p99_ms']:.0f} ms a frame (99 %)"
         )
 
 
@@ -109,6 +109,21 @@ class Contacts:
         return self._standing
 
 
+class _Floor:
+    """Limit, as pink has them, of points that may not sink into the floor."""
+
+    def __init__(self, points: list[str]):
+        self._points = points
+
+    def compute_qp_inequalities(self, configuration: Any, _: float) -> tuple[Array, Array]:
+        """Return G and h of ``G dq <= h``."""
+        frames = [configuration.get_transform_frame_to_world(name) for name in self._points]
+        slopes = [
+            T.rotation[2] @ configuration.get_frame_jacobian(n)[:3] for T, n in zip(frames, self._points, strict=True)
+        ]
+        return -np.array(slopes), np.array([T.translation[2] for T in frames])
+
+
 class Retargeter:
     """Inverse kinematics of one robot for one person; `step` for each frame, in order.
 
@@ -118,12 +133,7 @@ class Retargeter:
     """
 
     def __init__(
-        self,
-        skeleton: SkeletonModel,
-        urdf: str | Path,
-        map: str | None = None,
-        floor: float | None = None,
-        without: str = "",
+        self, skeleton: SkeletonModel, urdf: Path, map: str | None = None, floor: float | None = None, without: str = ""
     ):
         """Read the robot; its meshes are not needed.
 
@@ -149,16 +159,16 @@ class Retargeter:
         self._contacts, self._holds = Contacts(floor), "contacts" not in without
         self._time, self._landed, self._ways = math.nan, np.full((4, 3), np.nan), np.full(4, np.nan)
         self._prepare()
-        kinds = self._pink.limits
-        both = [kinds.ConfigurationLimit(self.model, 1.0), kinds.VelocityLimit(self.model)]
-        self._limits = [] if "limits" in without else both
+        both = self._pink.limits.ConfigurationLimit(self.model, 1.0), self._pink.limits.VelocityLimit(self.model)
+        self._limits = [*(() if "limits" in without else both), *([_Floor(self._points)] if self._holds else ())]
 
     def _prepare(self) -> None:
         """Compare robot and person with hanging arms; make frames, which are then parallel to world, and tasks."""
         model, links, pink = self.model, self.map.link, self._pink
         if unknown := sorted({*self.map.posture_deg} - {*self.joints}):
             raise UnknownNameError("joint of posture_deg in the robot", unknown, list(self.joints))
-        rest, data = pin.neutral(model), model.createData()
+        rest: Array = pin.neutral(model)
+        data = model.createData()
         angles = np.radians([self.map.posture_deg.get(name, 0.0) for name in self.joints])
         rest[7:] = np.clip(angles, model.lowerPositionLimit[7:], model.upperPositionLimit[7:])
         pin.framesForwardKinematics(model, data, rest)
@@ -166,11 +176,9 @@ class Retargeter:
         names = [one.name for one in links]
         self._R_rest, self._segments = R, self.skeleton.index(*(one.segment for one in links))
         self._parents = [names.index(one.parent or names[0]) for one in links]
-        self._feet = [
-            next(i for i, one in enumerate(links) if one.sole_mm and one.segment == f"{s}Foot") for s in SIDES
-        ]
+        self._feet = [[one.segment * bool(one.sole_mm) for one in links].index(f"{side}Foot") for side in SIDES]
         self._ends = [i for i, one in enumerate(links) if i and one.position_mm]
-        at, soles = np.empty((len(links), 3)), []
+        at, self._half_soles = np.empty((len(links), 3)), []
         for i, one in enumerate(links):
             number = model.getFrameId(one.name, pin.FrameType.BODY)
             body, ends = model.frames[number], np.array(one.sole_mm or np.zeros((2, 3))) / 1000
@@ -178,8 +186,7 @@ class Retargeter:
                 placement = body.placement * pin.SE3(data.oMf[number].rotation.T, offset)
                 model.addFrame(pin.Frame(f"{one.name}: aim{name}", body.parentJoint, number, placement, pin.OP_FRAME))
             at[i] = data.oMf[number].act(ends.mean(axis=0))
-            soles.append(float(np.linalg.norm(ends[1] - ends[0])) / 2)
-        self._half_soles = soles
+            self._half_soles.append(float(np.linalg.norm(ends[1] - ends[0])) / 2)
         hips = [self._parents[i] for i in self._feet]
         self._hips, heights = [self._segments[hip] for hip in hips], at[hips, 2] - at[self._feet, 2]
         ground = sole_points(self.skeleton, p[None], R[None])[..., 2].mean()
@@ -191,11 +198,16 @@ class Retargeter:
         self._ratios[[0, *self._feet]] = self.scale
         self._tasks = [pink.FrameTask(f"{name}: aim", 0.0, 0.0, lm_damping=1e-3) for name in names]
         self._points = [f"{names[i]}: aim {end}" for i in self._feet for end in ("heel", "toe")]
-        self._held = [pink.FrameTask(name, 0.0, 0.0) for name in self._points]
+        self._held = [pink.FrameTask(name, 1 / CONTACT_M, 0.0) for name in self._points]
         self._posture = pink.PostureTask(cost=1 / POSTURE)
         self._posture.set_target(rest)
-        self.q: Array
         self.q, self._configuration = rest, pink.Configuration(model, model.createData(), rest)
+
+    def follow(self, poses: PoseSequence, confidence: Confidence | None) -> Array:
+        """Return the configurations (T, 7 + J) for the next frames."""
+        spread = sigmas(poses, self.skeleton, confidence)
+        frames = zip(poses.times.tolist(), poses.p_world_joint, poses.R_world_bone, *spread, strict=True)
+        return np.array([self.step(*frame) for frame in frames])
 
     def step(self, time: float, p: Array, R: Array, sigma_p: Array, sigma_R: Array) -> Array:
         """Return the configuration for the next frame. Where the pose is unknown or no step is possible it stays, and
@@ -218,7 +230,9 @@ class Retargeter:
             self._configuration.update(np.concatenate([base, self.q[7:]]))
         else:
             self._land(standing)
-            tasks += self._on_floor(held) if self._holds else []
+            for i in np.flatnonzero(held):
+                self._held[i].set_target(pin.SE3(np.eye(3), self._landed[i]))
+                tasks.append(self._held[i])
         before, steps = self._configuration.q.copy(), FIRST_STEPS if first else STEPS
         for _ in range(steps):
             problem = self._pink.build_ik(self._configuration, tasks, passed / steps, DAMPING**2, self._limits)
@@ -230,7 +244,7 @@ class Retargeter:
             self._configuration.integrate_inplace(found.x / passed * steps, passed / steps)
         self.q, self._time = self._configuration.q.copy(), time
         self._land(standing)
-        self._measure(np.abs(self.q[7:] - before[7:]) / passed * (not first), standing, began)
+        self._measure(np.abs(self.q[7:] - before[7:]) / passed * (not first), standing, clock.perf_counter() - began)
         return self.q
 
     def _aim(self, p: Array, R: Array, points: Array, held: Mask, sigma_p: Array, sigma_R: Array) -> list[Any]:
@@ -271,19 +285,9 @@ class Retargeter:
         self._landed[~standing], new = np.nan, standing & ~known
         self._landed[new], self._ways[new] = self._places()[new] * [1, 1, 0], 0.0
 
-    def _on_floor(self, held: Mask) -> list[Any]:
-        """Return the tasks of points that stand, and of those below the floor, which are lifted."""
-        tasks = []
-        for task, stands, place, landed in zip(self._held, held, self._places(), self._landed, strict=True):
-            if stands or place[2] < 0:
-                task.set_position_cost([1 / CONTACT_M] * 3 if stands else [0.0, 0.0, 1 / LIFTED_M])
-                task.set_target(pin.SE3(np.eye(3), landed if stands else place * [1, 1, 0]))
-                tasks.append(task)
-        return tasks
-
-    def _measure(self, rates: Array, standing: Mask, began: float) -> None:
+    def _measure(self, rates: Array, standing: Mask, seconds: float) -> None:
         """Add a frame to what was reached; rates: (J,) rad/s."""
-        model, places, seconds = self.model, self._places(), clock.perf_counter() - began
+        model, places, track = self.model, self._places(), self.track
         ways = np.linalg.norm((places - self._landed)[:, :2], axis=1)
         self._ways = np.where(standing, np.fmax(self._ways, ways), self._ways)
         low, high = model.lowerPositionLimit[7:] - _EXCESS, model.upperPositionLimit[7:] + _EXCESS
@@ -292,12 +296,12 @@ class Retargeter:
         turned = [i for i, one in enumerate(self.map.link) if one.orientation_deg]
         ends, turns = np.linalg.norm(errors[self._ends, :3], axis=1), np.linalg.norm(errors[turned, 3:], axis=1)
         fast = (rates > model.velocityLimit[6:] * (1 + _EXCESS)).any()
-        self.track.rows.append((outside, fast, places[:, 2].min(), ends.mean(), turns.mean(), seconds))
+        track.farthest = max(track.farthest, (ends.max(), self.map.link[self._ends[ends.argmax()]].name, self._time))
+        track.rows.append((outside, fast, places[:, 2].min(), ends.mean(), turns.mean(), seconds))
 
-    def finish(self) -> Tracking:
-        """End the stances and return what was reached."""
+    def finish(self) -> None:
+        """End the stances."""
         self._land(np.zeros(4, dtype=np.bool_))
-        return self.track
 
 
 def _level(R: Array, heel: bool, toe: bool) -> Array:
@@ -315,9 +319,9 @@ def sigmas(poses: PoseSequence, skeleton: SkeletonModel, confidence: Confidence 
         return np.zeros(poses.valid.shape), np.zeros(poses.valid.shape)
     position = np.where(masks.position_observed, 0.0, UNOBSERVED_M)
     turn = np.select([masks.levels == WHOLE, masks.levels == NOTHING], [0.0, UNOBSERVED], UNSEEN_TURN)
-    if confidence is None:
-        return position, turn
-    return np.fmax(position, confidence.relative_sigma), np.fmax(turn, confidence.orientation_sigma)
+    if confidence is not None:
+        return np.fmax(position, confidence.relative_sigma), np.fmax(turn, confidence.orientation_sigma)
+    return position, turn
 
 
 @dataclass(frozen=True)
@@ -329,15 +333,12 @@ class RobotMotion:
     q: Array  #: (T, 7 + J) see `Retargeter.q`
 
     @classmethod
-    def of(cls, motion: MotionSource, urdf: str | Path, map: str | None = None, without: str = "") -> Self:
+    def of(cls, motion: MotionSource, urdf: Path, map: str | None = None, without: str = "") -> Self:
         """Retarget a motion; arguments and errors as for `Retargeter`."""
         robot = Retargeter(motion.skeleton, urdf, map, floor_levels(motion)[0], without)
         rows = np.empty((len(motion), robot.model.nq))
         for block in motion.blocks(confidence=True):
-            poses = block.motion.poses
-            spread = sigmas(poses, motion.skeleton, block.motion.confidence)
-            frames = zip(poses.times.tolist(), poses.p_world_joint, poses.R_world_bone, *spread, strict=True)
-            rows[block.frames] = [robot.step(*frame) for frame in frames]
+            rows[block.frames] = robot.follow(block.motion.poses, block.motion.confidence)
         robot.finish()
         return cls(robot, motion.times, rows)
 
@@ -345,16 +346,11 @@ class RobotMotion:
         """Write ``robot_joint_trajectory.json`` and ``robot_base_trajectory.json``, messages of ROS as of a person,
         ``robot_qpos.npz`` for MuJoCo, see `write_qpos`, and ``retarget.json`` with the figures, over existing files.
         """
-        times, angles, robot = self.times - self.times[0], self.q[:, 7:], self.robot
-        rates = np.gradient(angles, times, axis=0) if len(times) > 1 else np.zeros_like(angles)
-        states = (
-            {"positions": a.tolist(), "velocities": v.tolist(), "time_from_start": ros_time(t)}
-            for a, v, t in zip(angles, rates, times, strict=True)
-        )
-        bases = (
-            {"transforms": [ros_transform(q.tolist())], "time_from_start": ros_time(t)}
-            for q, t in zip(self.q, times, strict=True)
-        )
+        angles, robot = self.q[:, 7:], self.robot
+        rates = np.gradient(angles, self.times, axis=0) if len(angles) > 1 else np.zeros_like(angles)
+        rows = [*zip(map(ros_time, self.times - self.times[0]), self.q.tolist(), rates.tolist(), strict=True)]
+        states = ({"positions": q[7:], "velocities": v, "time_from_start": time} for time, q, v in rows)
+        bases = ({"transforms": [ros_transform(q)], "time_from_start": time} for time, q, _ in rows)
         write_message(folder / "robot_joint_trajectory.json", robot.joints, states)
         write_message(folder / "robot_base_trajectory.json", [robot.root], bases)
         write_qpos(folder / "robot_qpos.npz", self.times, self.q, robot.joints)

@@ -8,6 +8,7 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
+from rtof_kin.body.soles import SIDES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
@@ -44,11 +45,8 @@ class RobotMap(BaseModel):
         try:
             text = read_text(path, "a table of a robot's links, TOML")
             head, *rows = text.split("[[link]]")
-            left, right = (
-                [row.replace("{side}", side.lower()).replace("{Side}", side) for row in rows]
-                for side in ("Left", "Right")
-            )
-            both = [row for pair in zip(left, right, strict=True) for row in dict.fromkeys(pair)]
+            pairs = [[row.replace("{side}", s.lower()).replace("{Side}", s) for s in SIDES] for row in rows]
+            both = [row for pair in pairs for row in dict.fromkeys(pair)]
             found = cls.model_validate(tomllib.loads("[[link]]".join([head, *both])) | {"name": path.stem})
         except (tomllib.TOMLDecodeError, LookupError, ValidationError) as error:
             raise FileFormatError(path, " ".join(str(error).split())) from error
