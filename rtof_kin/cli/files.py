@@ -258,15 +258,13 @@ def retarget(
 ) -> None:
     """Put a person's motion on a humanoid robot.
 
-    MOTION is the output of reconstruct or run. Feet that stand are held on the floor, limits of angles and velocities
-    are kept, and what nobody observed is followed weakly. The first line says what was reached: slip of the feet,
-    limits, distance from the targets. Needs the extra: pip install 'rtof-kin[robots]'. docs/robots.md has examples.
+    Feet that stand are held on the floor, limits are kept, what nobody observed is followed weakly; the first line says
+    what was reached. Needs the extra: pip install 'rtof-kin[robots]'. docs/robots.md has examples.
 
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
         robot: the robot's URDF; its meshes are not needed
-        map: which link follows which segment: talos, gr1, g1, h1, or a TOML file of yours; default: the one whose links
-            the robot has
+        map: talos, gr1, g1, h1 or a TOML file: which link follows which segment; default: by the robot's links
     """
     from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.files.folder import check_replaceable, new_folder
@@ -277,8 +275,7 @@ def retarget(
         found = RobotMotion.of(reader, robot, map)
     with new_folder(output, FIGURES, overwrite) as folder:
         found.write(folder)
-    track = found.robot.track
-    line("robot", f"{found.robot.map.name}: {track}")
-    if track.failures:
-        line("doubtful", f"{len(track.failures)} frames without a step; {'; '.join(track.failures[:3])}", "bold red")
+    line("robot", f"{found.robot.map.name}: {found.robot.track}")
+    if failures := found.robot.track.failures:
+        line("doubtful", f"{len(failures)} frames without a step; {'; '.join(failures[:3])}", "bold red")
     print_files(output)

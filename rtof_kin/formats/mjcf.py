@@ -1,7 +1,7 @@
 """A person as a model of MuJoCo (MJCF) with de Leva's masses and inertias, and configurations in MuJoCo's order.
 
-Bodies are the links of the URDF in their frames, with its three revolutes each. Capsules collide with the floor only.
-A foot is one from heel to ball, without toes, which the skeleton does not bend.
+Bodies are the links of the URDF, with its three revolutes each. Capsules, of a foot from heel to ball, collide with the
+floor only; toes, which the skeleton does not bend, have none.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Joint
-from rtof_kin.body.soles import SIDES, floor_levels, sole_offsets
+from rtof_kin.body.soles import FEET, floor_levels, sole_offsets
 from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.arrays import write_npz
@@ -59,8 +59,8 @@ def _add_body(parent: ET.Element, skeleton: SkeletonModel, joint: Joint) -> None
     inertia = _text([*np.diag(matrix), *matrix[[0, 0, 1], [1, 2, 2]]])
     ET.SubElement(body, "inertial", pos=_text(center), mass=f"{mass:.12g}", fullinertia=inertia)
     ends, radius = [np.zeros(3), joint.end], joint.radius
-    if joint.name in (feet := [f"{side}Foot" for side in SIDES]):
-        ends, radius = [*(sole_offsets(skeleton)[feet.index(joint.name)] + [0, 0, FOOT_RADIUS])], FOOT_RADIUS
+    if joint.name in FEET:
+        ends, radius = [*(sole_offsets(skeleton)[FEET.index(joint.name)] + [0, 0, FOOT_RADIUS])], FOOT_RADIUS
     ET.SubElement(body, "geom", name=joint.name, type="capsule", fromto=_text([*ends[0], *ends[1]]), size=f"{radius:g}")
     children = [one for one in skeleton.table.joints if one.parent == joint.name]
     for child in sorted(children, key=lambda one: skeleton.dof_names.index(one.dofs[0].urdf)):

@@ -29,7 +29,7 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import NOTHING, WHOLE, ObservationMasks
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.body.soles import SIDES, floor_levels, sole_points
+from rtof_kin.body.soles import FEET, floor_levels, sole_points
 from rtof_kin.body.urdf import pin
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
@@ -109,19 +109,18 @@ class Contacts:
         return self._standing
 
 
+@dataclass(frozen=True)
 class _Floor:
-    """Limit, as pink has them, of points that may not sink into the floor."""
+    """Limit, as pink has them, of frames that may not sink into the floor."""
 
-    def __init__(self, points: list[str]):
-        self._points = points
+    points: list[str]
 
     def compute_qp_inequalities(self, configuration: Any, _: float) -> tuple[Array, Array]:
         """Return G and h of ``G dq <= h``."""
-        frames = [configuration.get_transform_frame_to_world(name) for name in self._points]
-        slopes = [
-            T.rotation[2] @ configuration.get_frame_jacobian(n)[:3] for T, n in zip(frames, self._points, strict=True)
-        ]
-        return -np.array(slopes), np.array([T.translation[2] for T in frames])
+        frames = [configuration.get_transform_frame_to_world(name) for name in self.points]
+        jacobians = [configuration.get_frame_jacobian(name)[:3] for name in self.points]
+        slopes = np.array([T.rotation[2] @ J for T, J in zip(frames, jacobians, strict=True)])
+        return -slopes, np.array([T.translation[2] for T in frames])
 
 
 class Retargeter:
@@ -159,8 +158,11 @@ class Retargeter:
         self._contacts, self._holds = Contacts(floor), "contacts" not in without
         self._time, self._landed, self._ways = math.nan, np.full((4, 3), np.nan), np.full(4, np.nan)
         self._prepare()
-        both = self._pink.limits.ConfigurationLimit(self.model, 1.0), self._pink.limits.VelocityLimit(self.model)
-        self._limits = [*(() if "limits" in without else both), *([_Floor(self._points)] if self._holds else ())]
+        kinds = self._pink.limits
+        joints = [kinds.ConfigurationLimit(self.model, 1.0), kinds.VelocityLimit(self.model)] * (
+            "limits" not in without
+        )
+        self._limits = joints + [_Floor(self._points)] * self._holds
 
     def _prepare(self) -> None:
         """Compare robot and person with hanging arms; make frames, which are then parallel to world, and tasks."""
@@ -176,7 +178,7 @@ class Retargeter:
         names = [one.name for one in links]
         self._R_rest, self._segments = R, self.skeleton.index(*(one.segment for one in links))
         self._parents = [names.index(one.parent or names[0]) for one in links]
-        self._feet = [[one.segment * bool(one.sole_mm) for one in links].index(f"{side}Foot") for side in SIDES]
+        self._feet = [[one.segment * bool(one.sole_mm) for one in links].index(foot) for foot in FEET]
         self._ends = [i for i, one in enumerate(links) if i and one.position_mm]
         at, self._half_soles = np.empty((len(links), 3)), []
         for i, one in enumerate(links):

@@ -8,7 +8,7 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
-from rtof_kin.body.soles import SIDES
+from rtof_kin.body.soles import FEET
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
@@ -45,7 +45,7 @@ class RobotMap(BaseModel):
         try:
             text = read_text(path, "a table of a robot's links, TOML")
             head, *rows = text.split("[[link]]")
-            pairs = [[row.replace("{side}", s.lower()).replace("{Side}", s) for s in SIDES] for row in rows]
+            pairs = [[row.replace("{side}", s.lower()).replace("{Side}", s) for s in ("Left", "Right")] for row in rows]
             both = [row for pair in pairs for row in dict.fromkeys(pair)]
             found = cls.model_validate(tomllib.loads("[[link]]".join([head, *both])) | {"name": path.stem})
         except (tomllib.TOMLDecodeError, LookupError, ValidationError) as error:
@@ -54,7 +54,7 @@ class RobotMap(BaseModel):
         for i, one in enumerate(found.link):
             if one.name in names[:i] or one.parent not in ("", *names[:i]):
                 raise FileFormatError(path, f"link {one.name}: stands twice, or before its parent {one.parent}")
-        if sorted(one.segment for one in found.link if one.sole_mm and one.position_mm) != ["LeftFoot", "RightFoot"]:
+        if sorted(one.segment for one in found.link if one.sole_mm and one.position_mm) != [*FEET]:
             raise FileFormatError(path, "needs sole_mm and position_mm of one link for LeftFoot and one for RightFoot")
         return found
 

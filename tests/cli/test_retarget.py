@@ -33,5 +33,5 @@ def test_live_robot_is_summed_up_at_the_end(cli: Cli, monkeypatch: pytest.Monkey
     demo = model_path("demo")
     options = ("--camera", demo, "--imus", demo, "--speed", "inf", "--seconds", 1)
     done = cli.ok("live", demo, *options, "--robot", GR1, "--send", "ws:0")
-    done.says("robot     gr1: ")
+    done.says("robot gr1: feet slip ")
     assert "--robot: nobody would get its joints" in cli.refused("live", demo, *options, "--robot", GR1).err
