@@ -1,9 +1,9 @@
 """Motions of a person on two humanoid robots: slip of the feet, limits, distance from the targets and latency.
 
-``python -m benchmarks robots [MOTION ...]``: the true motion of the demo, 24 s of squats, lunges and steps on the spot, or
-outputs of reconstruct; with contacts and limits, without contacts, and without both, which is the usual inverse
-kinematics. The robots are PAL's Talos and Fourier's GR1, of example-robot-data and fourier-robot-descriptions. The time of
-a frame is the least of three runs, as other programs may interrupt one. Under a minute.
+``python -m benchmarks robots [MOTION ...]``: the true motion of the demo, 24 s of squats, lunges and steps on the spot,
+or outputs of reconstruct; with contacts and limits, without contacts, and without both, the usual inverse kinematics.
+The robots are PAL's Talos and Fourier's GR1, of example-robot-data and fourier-robot-descriptions. The time of a frame
+is the least of three runs, as other programs may interrupt one. A minute.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from rtof_kin.robots.retarget import RobotMotion
 
 KINDS = {"": "contacts and limits", "contacts": "limits alone", "contacts, limits": "neither"}
 HEADS = (
-    "motion | robot | kept | slip in a stance, mean (most) mm | frames beyond limits: angles, velocities | soles below the "
-    "floor mm | hands and feet off mm | links off deg | a frame, 50 % (99 %) ms"
+    "motion | robot | kept | slip in a stance, mean (most) mm | frames beyond limits: angles, velocities | soles below "
+    "the floor mm | hands and feet off mm | links off deg | a frame, 50 % (99 %) ms"
 )
 
 
@@ -58,9 +58,9 @@ def rows(motions: dict[str, Motion]) -> Iterator[str]:
                     np.min([[row[-1] for row in run.rows] for run in runs], axis=0), [50, 99]
                 )
                 yield (
-                    f"| {name} | {robot} | {kept} | {one['slip_mm']:.1f} ({one['most_mm']:.1f}) | {one['outside']:.0%}, "
-                    f"{one['fast']:.0%} | {one['below_mm']:.0f} | {one['ends_mm']:.0f} | {one['turns_deg']:.1f} | "
-                    f"{p50:.1f} ({p99:.1f}) |"
+                    f"| {name} | {robot} | {kept} | {one['slip_mm']:.1f} ({one['most_mm']:.1f}) | "
+                    f"{one['outside']:.0%}, {one['fast']:.0%} | {one['below_mm']:.0f} | {one['ends_mm']:.0f} | "
+                    f"{one['turns_deg']:.1f} | {p50:.1f} ({p99:.1f}) |"
                 )
 
 
