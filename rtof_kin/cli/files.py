@@ -267,13 +267,11 @@ def retarget(
         map: talos, gr1, g1, h1 or a TOML file: which link follows which segment; default: by the robot's links
     """
     from rtof_kin.body.motion_file import MotionReader, motion_path
-    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.core.files.folder import new_folder
     from rtof_kin.robots.retarget import FIGURES, RobotMotion
 
-    check_replaceable(output, FIGURES, overwrite)
-    with MotionReader(motion_path(motion)) as reader:
+    with MotionReader(motion_path(motion)) as reader, new_folder(output, FIGURES, overwrite) as folder:
         found = RobotMotion.of(reader, robot, map)
-    with new_folder(output, FIGURES, overwrite) as folder:
         found.write(folder)
     line("robot", f"{found.robot.map.name}: {found.robot.track}")
     if failures := found.robot.track.failures:

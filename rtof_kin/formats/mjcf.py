@@ -13,36 +13,23 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Joint
-from rtof_kin.body.soles import FEET, floor_levels, sole_offsets
+from rtof_kin.body.soles import FEET, sole_offsets
 from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.arrays import write_npz
 
 FOOT_RADIUS: Final = 0.02  #: [m] of the capsules of the feet, which touch the sole
-DEEPEST: Final = 0.01  #: [m] that a foot may be below the floor
-
-
-def floor_of(motion: MotionSource) -> tuple[float, float]:
-    """Return the height of a level floor in world, m, so low that no foot is deeper than `DEEPEST`; and by how much it
-    is lower than where the feet stand, m.
-    """
-    level, lowest = floor_levels(motion, FOOT_RADIUS)
-    floor = min(level, lowest + DEEPEST)
-    return floor, level - floor
 
 
 def to_mjcf(skeleton: SkeletonModel, floor: float) -> str:
     """Return the model; its joints are in the order of the configuration. floor: height of the floor in world, m."""
     root = ET.Element("mujoco", model=skeleton.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    default = ET.SubElement(root, "default")
-    ET.SubElement(default, "geom", contype="0", conaffinity="1", rgba="0.45 0.6 0.75 1")
+    ET.SubElement(ET.SubElement(root, "default"), "geom", contype="0")
     world = ET.SubElement(root, "worldbody")
-    plane = {"type": "plane", "pos": _text([0, 0, floor]), "size": "0 0 0.1", "contype": "1", "conaffinity": "0"}
-    ET.SubElement(world, "geom", plane, name="floor")
+    ET.SubElement(world, "geom", type="plane", name="floor", pos=_text([0, 0, floor]), size="0 0 0.1", contype="1")
     _add_body(world, skeleton, skeleton.table.joints[0])
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"

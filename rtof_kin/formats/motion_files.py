@@ -52,6 +52,7 @@ from rtof_kin.body.observability import (
     root_turn_observed,
 )
 from rtof_kin.body.skeleton import Motion
+from rtof_kin.body.soles import floor_levels
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
@@ -63,7 +64,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.bvh import write_bvh
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
-from rtof_kin.formats.mjcf import floor_of, to_mjcf, write_qpos
+from rtof_kin.formats.mjcf import FOOT_RADIUS, to_mjcf, write_qpos
 from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
 from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
@@ -192,6 +193,7 @@ DEFAULT: Final = ("csv", "ros")
 Facts = dict[str, Any]
 Files = dict[str, Facts]  #: Entries of `files.json`, by file name
 Writer = Callable[[Path, MotionSource], object]
+DEEPEST: Final = 0.01  #: [m] that a foot may be below the floor of mjcf
 _MOST_FRAMES_C3D: Final = 0xFFFF  #: Frame numbers have 16 bits in the header
 
 
@@ -332,10 +334,11 @@ def _mjcf(folder: Path, motion: MotionSource) -> Files:
         q = np.concatenate([block.motion.q for block in part.blocks()])
         write_qpos(path, part.times, q, part.skeleton.dof_names)
 
-    floor, lowered = floor_of(motion)
+    level, lowest = floor_levels(motion, FOOT_RADIUS)
+    floor = min(level, lowest + DEEPEST)
     files = _pieces("_qpos.npz", write)(folder, motion)
     write_text(folder / "person.xml", to_mjcf(motion.skeleton, floor), overwrite=True)
-    return {"person.xml": {"floor_m": floor, "floor_lowered_m": lowered}, **files}
+    return {"person.xml": {"floor_m": floor, "floor_lowered_m": level - floor}, **files}
 
 
 def _osim(folder: Path, motion: MotionSource) -> Files:

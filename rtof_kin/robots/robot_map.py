@@ -13,8 +13,6 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownName
 from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
 
-Triple = tuple[float, float, float]
-
 
 class Link(BaseModel):
     """A link and the segment that it follows; tolerances are standard deviations, whose inverses are the weights."""
@@ -26,7 +24,7 @@ class Link(BaseModel):
     position_mm: PositiveFloat | None = None  #: Tolerance of its position; None: it has no target
     orientation_deg: PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = None
     """Tolerance of its orientation, or of turns about x forward, y left and z up in the posture with hanging arms."""
-    sole_mm: tuple[Triple, Triple] | None = None  #: Heel and toe of a foot, in the frame of the link
+    sole_mm: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  #: Heel, toe, in its frame
 
 
 class RobotMap(BaseModel):

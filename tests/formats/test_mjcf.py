@@ -18,8 +18,8 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.soles import floor_levels
 from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.mjcf import DEEPEST, floor_of
-from rtof_kin.formats.motion_files import write_motion_files
+from rtof_kin.formats.mjcf import FOOT_RADIUS
+from rtof_kin.formats.motion_files import DEEPEST, write_motion_files
 from rtof_kin.recording.recording import Recording
 
 
@@ -56,7 +56,8 @@ def test_replay_has_the_persons_bodies_and_no_foot_deeper_than_a_centimetre(
     assert touched > 0.45 * len(motion.q)
     assert saved["fps"] == pytest.approx(motion.poses.rate_hz)
     facts = json.loads((tmp_path / "files.json").read_text())["files"]["person.xml"]
-    assert (facts["floor_m"], facts["floor_lowered_m"]) == pytest.approx(floor_of(MotionSource.of(motion)))
+    level, _ = floor_levels(MotionSource.of(motion), FOOT_RADIUS)
+    assert facts["floor_m"] + facts["floor_lowered_m"] == pytest.approx(level)
 
 
 def test_masses_and_inertias_are_those_of_the_urdf(skeleton: SkeletonModel, motion: Motion, tmp_path: Path) -> None:
@@ -91,4 +92,4 @@ def test_skeleton_without_heels_is_refused() -> None:
     p, R = body.forward_kinematics(body.n_pose()[None])
     poses = PoseSequence(np.zeros(1), p, R, body.names)
     with pytest.raises(UnknownNameError, match="LeftFoot"):
-        floor_of(MotionSource.of(body.motion(poses)))
+        floor_levels(MotionSource.of(body.motion(poses)))
