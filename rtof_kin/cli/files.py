@@ -203,8 +203,8 @@ def export(
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
         target: folder or file to write
-        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; mjcf; or one of
-            archive, bids, fhir, redcap, dicom, onnx
+        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; mjcf; or one
+            of archive, bids, fhir, redcap, dicom, onnx
         recording: recording of MOTION for archive and bids; default: that of run, or the demo
         code: of the person, for bids, fhir, redcap and dicom; default: that of the session where it is one, else 01
         pdf: the report as PDF, for dicom
