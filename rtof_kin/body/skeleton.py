@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,10 @@ class Motion:
         coordinates = {"time": ("time", self.times, {"units": "s"}), **names, "bone_xyz": [*"xyz"]}
         about = {"skeleton": self.skeleton.name, "world": "z up, m"}
         return optional("xarray", "connect", "to_xarray").Dataset(arrays, coordinates, about)
+
+    def show(self) -> Any:
+        """Return the value of a notebook's cell that plays the motion (extra ``view``), thinned out if it is long."""
+        return import_module("rtof_kin.view.static_page").notebook_page(self)  # this folder imports none above it
 
     @property
     def times(self) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -186,6 +185,7 @@ def export(
     recording: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     code: str = "",
     pdf: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    video: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     flip: bool = True,
     overwrite: Overwrite = False,
 ) -> None:
@@ -203,11 +203,13 @@ def export(
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
         target: folder or file to write
-        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; mjcf; or one
-            of archive, bids, fhir, redcap, dicom, onnx
+        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d;
+            bvh,bvh-lafan1,glb; mjcf (MuJoCo); mcap,rosbag (Foxglove, ROS 2); rrd (Rerun); or one of archive, bids,
+            fhir, redcap, dicom, onnx
         recording: recording of MOTION for archive and bids; default: that of run, or the demo
         code: of the person, for bids, fhir, redcap and dicom; default: that of the session where it is one, else 01
         pdf: the report as PDF, for dicom
+        video: of the first camera, uncropped, for mcap, rosbag and rrd: encoded anew, without sound and metadata
         flip: of a lifter, estimate the mirrored scene too; without it faster and less exact
     """
     if (target is None) == (output is None):
@@ -234,15 +236,17 @@ def export(
             WRITERS[to[0]](written, Result.of(Path(motion), code, recording=recording, pdf=pdf), overwrite)
             say(f"wrote {written}")
         return
-    from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
+    from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.reporting.export import results_of
+    from rtof_kin.reporting.export import beside_of
 
     formats = to or DEFAULT
     check_formats(formats)
-    with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
-        write_motion_files(folder, reader, formats, partial(results_of, folder=motion_folder(motion)))
+    path = motion_path(motion)
+    new = new_folder(written, URDF, overwrite)
+    with MotionReader(path) as reader, beside_of(path.parent, video) as beside, new as folder:
+        write_motion_files(folder, reader, formats, beside)
     print_files(written)
 
 

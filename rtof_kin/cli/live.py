@@ -59,6 +59,7 @@ def live(
     map: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     output: Annotated[Path | None, written("record everything into a new folder", "FOLDER")] = None,
     send: Annotated[list[str] | None, Parameter(metavar="OUTPUT")] = None,
+    mcap: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     browser: bool = False,
     robot: Annotated[Path | None, Parameter(metavar="FILE.urdf")] = None,
     settings: Annotated[
@@ -95,6 +96,8 @@ def live(
             that SETUP has for them
         send: lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of this machine;
             may be given several times
+        mcap: new file of joint states, transforms and bands, written as they are estimated, for Foxglove and ROS 2
+            (extra connect)
         browser: show the skeleton in the browser
         robot: also send the joints of this robot, which follows the person, see rtof-kin retarget
         refine: what is refined while the person moves: delay (of the video), heading, mounting (of the sensors),
@@ -117,7 +120,7 @@ def live(
     from rtof_kin.calibration.result import read_self_calibration_toml
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimator import OnlineEstimator
-    from rtof_kin.live.open_sources import RobotSink, open_sinks, open_sources
+    from rtof_kin.live.open_sources import McapSink, RobotSink, open_sinks, open_sources
     from rtof_kin.live.recorder import Recorder
     from rtof_kin.live.refinement import refinement_priors
     from rtof_kin.live.session import LiveSession
@@ -148,6 +151,8 @@ def live(
         for source in streams.sources:
             stack.callback(source.close)
         sinks = list(open_sinks(send or [], take))
+        if mcap is not None:
+            sinks.append(McapSink(mcap, take.skeleton))
         servers = _served(sinks, take, browser)
         if robot is not None:
             follower = Retargeter(take.skeleton, robot, floor=take.floor_height)

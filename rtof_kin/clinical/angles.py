@@ -25,7 +25,7 @@ four joints of the spine, not the whole angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
@@ -47,6 +47,7 @@ from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.opensim import ROOT_AXES, OpenSimTable, coordinates
+from rtof_kin.formats.trial_results import AngleBlock
 
 Sources = NDArray[np.uint8]
 _ARRAYS: Final[dict[str, type]] = {
@@ -169,6 +170,17 @@ def angles_and_paths(
             one.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
         paths.add(block.frames, block.motion.poses, block.own)
     return [angles_of(one, source.masks) for one in found], paths.paths(source.masks, source.corrections)
+
+
+def angle_blocks(source: MotionSource) -> Iterator[AngleBlock]:
+    """Yield the angles of a motion in blocks, without second and third ones of hinges, which may be the model's."""
+    constant = np.repeat([joint.hinge for joint in angle_table(source.skeleton.table).joints], 3)
+    constant[::3] = False
+    for block in source.blocks(margin=round(source.rate_hz), confidence=True):
+        found, own = clinical_angles(block.motion), block.own
+        values = np.where(constant, np.nan, np.degrees(found.values[own]))
+        sigma = np.full_like(values, np.nan) if found.sigma is None else np.degrees(found.sigma[own])
+        yield found.names, found.times[own], values, sigma
 
 
 def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngles:

@@ -30,6 +30,16 @@ class Provenance(IntEnum):
     CAMERA_AND_IMU = 5
 
 
+Rgb = tuple[int, int, int]
+COLOURS: Final[dict[Provenance, Rgb]] = {
+    Provenance.CAMERA_AND_IMU: (0, 158, 115),
+    Provenance.CAMERA: (86, 180, 233),
+    Provenance.IMU: (230, 159, 0),
+    Provenance.BRIDGED: (204, 121, 167),
+    Provenance.PRIOR: (150, 150, 150),
+    Provenance.NOBODY: (150, 150, 150),
+}
+"""RGB by provenance, distinguishable with a colour vision deficiency (Okabe and Ito, 2008)."""
 LONGEST_BRIDGE: Final = 0.5
 """[s] Longest interval between two observations of a joint in which it is valid: it is interpolated."""
 

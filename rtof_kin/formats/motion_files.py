@@ -15,6 +15,11 @@ ros         ros_joint_..., ros_base_trajectory.json      bridged; a file each si
 osim        skeleton.osim                                (a body has none)
 mot, sto    motion.mot, motion.sto                       a file each side: motion_1.mot, motion_2.mot
 bvh         motion.bvh                                   the same
+bvh-lafan1  motion_lafan1.bvh                            the same
+glb         motion.glb                                   the same
+rrd         motion.rrd                                   bridged values by colour; nothing where unknown
+mcap        motion.mcap                                  bridged values, marked; nothing where unknown
+rosbag      motion_bag/, a folder                        the same
 mjcf        person.xml, motion_qpos.npz                  the same, of the second: motion_1_qpos.npz
 trc, c3d    motion.trc, motion.c3d                       empty cells, residual -1; also of single
                                                          unobserved landmarks
@@ -35,6 +40,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -61,13 +67,16 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.bvh import write_bvh
+from rtof_kin.formats.bvh import lafan1_tree, write_bvh
+from rtof_kin.formats.glb import write_glb
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
 from rtof_kin.formats.mjcf import FOOT_RADIUS, to_mjcf, write_qpos
 from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
-from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
+from rtof_kin.formats.rerun_file import write_rrd
+from rtof_kin.formats.ros_log import write_ros_log
+from rtof_kin.formats.trial_results import MOST_EVENTS, Beside
 
 CONVENTION: Final = (
     "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
@@ -191,9 +200,11 @@ INDEX: Final = "files.json"
 URDF: Final = "skeleton.urdf"
 DEFAULT: Final = ("csv", "ros")
 Facts = dict[str, Any]
+_NOTHING: Final = Beside()
 Files = dict[str, Facts]  #: Entries of `files.json`, by file name
 Writer = Callable[[Path, MotionSource], object]
 DEEPEST: Final = 0.01  #: [m] that a foot may be below the floor of mjcf
+FormatWriter = Callable[[Path, MotionSource, Beside], Files]
 _MOST_FRAMES_C3D: Final = 0xFFFF  #: Frame numbers have 16 bits in the header
 
 
@@ -202,22 +213,18 @@ class Format:
     """A kind of file that a motion is written to."""
 
     convention: str  #: Axes, units, order and names
-    write: Callable[..., Files]  #: Write a motion into a folder: ``write(folder, motion)``
+    write: FormatWriter  #: Write a motion into a folder: ``write(folder, motion, beside)``
     even: bool = False  #: True for formats with a rate in place of times, or whose readers expect even ones
 
 
 def write_motion_files(
-    folder: str | Path,
-    motion: AnyMotion,
-    formats: Sequence[str] = DEFAULT,
-    results: Callable[[MotionSource], TrialResults] | None = None,
+    folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT, beside: Beside = _NOTHING
 ) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
-        motion: what is written, in blocks. formats: names in `FORMATS`.
-        results: makes what c3d has beside the landmarks, of the motion; by default it has nothing.
+        motion: what is written, in blocks. formats: names in `FORMATS`. beside: what else some of them contain.
 
     Raises:
         UnknownNameError: no such format. RtofError: Parquet without pyarrow.
@@ -232,8 +239,7 @@ def write_motion_files(
         even = source.with_times(even_times(source.times))
     for name in (name for name in FORMATS if name in formats):
         kind = FORMATS[name]
-        beside = {"results": results(source)} if name == "c3d" and results is not None else {}
-        for file, facts in kind.write(folder, even if kind.even else source, **beside).items():
+        for file, facts in kind.write(folder, even if kind.even else source, beside).items():
             files[file] = {"format": name, "convention": kind.convention, **facts}
     text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")
@@ -280,10 +286,10 @@ def _index(motion: MotionSource, files: Files) -> Facts:
 # --- one function for each kind of format --------------------------------------------------------
 
 
-def _whole(writers: dict[str, Writer]) -> Callable[[Path, MotionSource], Files]:
+def _whole(writers: dict[str, Writer]) -> FormatWriter:
     """Return a function that writes the whole motion to each of some files."""
 
-    def write(folder: Path, motion: MotionSource) -> Files:
+    def write(folder: Path, motion: MotionSource, _: Beside) -> Files:
         for name, write_file in writers.items():
             write_file(folder / name, motion)
         return {name: {"frames": [0, len(motion)], "time_zero_s": 0.0} for name in writers}
@@ -291,10 +297,10 @@ def _whole(writers: dict[str, Writer]) -> Callable[[Path, MotionSource], Files]:
     return write
 
 
-def _pieces(suffix: str, write_file: Writer, has_times: bool = True) -> Callable[[Path, MotionSource], Files]:
+def _pieces(suffix: str, write_file: Writer, has_times: bool = True) -> FormatWriter:
     """Return a function that writes a file for each piece without gaps; one without times begins at 0."""
 
-    def write(folder: Path, motion: MotionSource) -> Files:
+    def write(folder: Path, motion: MotionSource, _: Beside) -> Files:
         parts = pieces(motion)
         if not parts:
             raise InvalidInputError(f"motion: the person was seen in no frame, so nothing for {suffix}")
@@ -312,13 +318,13 @@ def _pieces(suffix: str, write_file: Writer, has_times: bool = True) -> Callable
     return write
 
 
-def _ros(folder: Path, motion: MotionSource) -> Files:
+def _ros(folder: Path, motion: MotionSource, _: Beside) -> Files:
     paths = write_ros_trajectory(folder, motion)
     facts = {"time_zero_s": float(motion.times[0]), "left_out": list(never_observed(motion.masks))}
     return {path.name: dict(facts) for path in paths}
 
 
-def _npz(folder: Path, motion: MotionSource) -> Files:
+def _npz(folder: Path, motion: MotionSource, _: Beside) -> Files:
     mode, first_frame = (motion.mode, motion.first_frame) if isinstance(motion, MotionReader) else ("", 0)
     with TemporaryDirectory() as beside:
         path = Path(beside) / MOTION
@@ -329,26 +335,35 @@ def _npz(folder: Path, motion: MotionSource) -> Files:
     return {"motion.npz": {"frames": [0, len(motion)], "time_zero_s": 0.0}}
 
 
-def _mjcf(folder: Path, motion: MotionSource) -> Files:
+def _mjcf(folder: Path, motion: MotionSource, beside: Beside) -> Files:
     def write(path: Path, part: MotionSource) -> None:
         q = np.concatenate([block.motion.q for block in part.blocks()])
         write_qpos(path, part.times, q, part.skeleton.dof_names)
 
     level, lowest = floor_levels(motion, FOOT_RADIUS)
     floor = min(level, lowest + DEEPEST)
-    files = _pieces("_qpos.npz", write)(folder, motion)
+    files = _pieces("_qpos.npz", write)(folder, motion, beside)
     write_text(folder / "person.xml", to_mjcf(motion.skeleton, floor), overwrite=True)
     return {"person.xml": {"floor_m": floor, "floor_lowered_m": level - floor}, **files}
 
 
-def _osim(folder: Path, motion: MotionSource) -> Files:
+def _osim(folder: Path, motion: MotionSource, _: Beside) -> Files:
     write_osim(folder / "skeleton.osim", motion.skeleton)
     return {"skeleton.osim": {}}
 
 
-def _c3d(folder: Path, motion: MotionSource, results: TrialResults | None = None) -> Files:
+def _streamed(name: str, write_file: Callable[[Path, MotionSource, Beside], float]) -> FormatWriter:
+    """Return a function that writes the whole motion to a file, and what is beside it."""
+
+    def write(folder: Path, motion: MotionSource, beside: Beside) -> Files:
+        return {name: {"frames": [0, len(motion)], "time_zero_s": write_file(folder / name, motion, beside)}}
+
+    return write
+
+
+def _c3d(folder: Path, motion: MotionSource, beside: Beside) -> Files:
     """Write times as frame numbers; `time_zero_s` is the remainder of the first one."""
-    markers = landmark_markers(motion)
+    markers, results = landmark_markers(motion), beside.results and beside.results(motion)
     start, rate = float(markers.times[0]), rate_hz(markers.times)
     first = round(start * rate)
     if not 0 <= first <= _MOST_FRAMES_C3D - len(markers.times):
@@ -369,6 +384,10 @@ _LINKS = (
 _COORDINATES = (
     f"coordinates of skeleton.osim by name, zero in the T-pose; pelvis_* are of the root in {_GROUND}; even times"
 )
+_LOG: Final = (
+    "joint states, transforms of all links, bands, see formats.ros_log; world z up; m, rad, quaternion x y z w"
+)
+_RERUN: Final = "Rerun: world z up, m; pictures, px; angles with 95 % bands, degrees; on the time line 'time', s"
 FORMATS: Final[dict[str, Format]] = {
     "csv": Format(
         f"{CONVENTION}; units in the names of columns or in the .json beside it",
@@ -409,5 +428,19 @@ FORMATS: Final[dict[str, Format]] = {
         _mjcf,
         even=True,
     ),
+    "bvh-lafan1": Format(
+        "22 joints with the names, order and axes of LAFAN1, x along the bone; y up, z forward, which is world x; "
+        "cm; degrees, z y x",
+        _pieces("_lafan1.bvh", lambda path, m: write_bvh(path, lafan1_tree(m), len(m), order="zyx"), has_times=False),
+        even=True,
+    ),
+    "glb": Format(
+        "glTF 2.0: nodes are joints; y up, +z forward, which is world x; m, quaternions x y z w; morph targets: 95 % "
+        "band, and a mark where a joint was not observed",
+        _pieces(".glb", write_glb, has_times=False),
+    ),
+    "rrd": Format(_RERUN, _streamed("motion.rrd", write_rrd)),
+    "mcap": Format(f"MCAP: {_LOG}", _streamed("motion.mcap", write_ros_log)),
+    "rosbag": Format(f"ROS 2 bag: {_LOG}", _streamed("motion_bag", partial(write_ros_log, bag=True))),
 }
 """All formats by name."""

@@ -6,13 +6,15 @@ and PROCESSING (user guide at c3d.org). Events have minutes and seconds on the c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.array_types import Array
+from rtof_kin.formats.measurements_file import MeasurementsReader
 
 UNITS: Final = {"ANGLES": ("ANGLE_UNITS", "deg"), "FORCES": ("FORCE_UNITS", "N"), "MOMENTS": ("MOMENT_UNITS", "Nmm")}
 """Parameter of POINT that lists results of a kind -> parameter with their unit, and the unit."""
@@ -69,6 +71,21 @@ class TrialResults:
         for name, size in (("Bodymass", self.mass_kg), ("Height", self.height_m and 1000 * self.height_m)):
             if size is not None:
                 add_parameters(file, "PROCESSING", **{name: [float(size)]})
+
+
+AngleBlock = tuple[tuple[str, ...], Array, Array, Array]
+"""Clinical angles of consecutive frames: A names, times (T,), s, values and standard deviations (T, A), deg."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What some formats have beside the motion; by default nothing."""
+
+    results: Callable[[MotionSource], TrialResults] | None = None  #: Makes what c3d has beside the landmarks
+    angles: Callable[[MotionSource], Iterator[AngleBlock]] | None = None  #: Makes the curves of rrd
+    measurements: MeasurementsReader | None = None  #: Of the same frames: cameras and detected points for rrd
+    video: Callable[[], Iterator[tuple[float, bytes]]] | None = None
+    """Begins to read the frames of the first camera's video: time, s, and an access unit of H.264 in Annex B."""
 
 
 def add_parameters(file: Any, group: str, **values: Any) -> None:

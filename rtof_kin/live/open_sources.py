@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,10 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, SourceError, UnknownNameError
+from rtof_kin.core.files.folder import check_new_file
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
+from rtof_kin.formats.ros_log import PersonLog
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map, same_sensor
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.live.lsl import LslFrameSource, LslImuSource, load_pylsl
@@ -220,6 +223,7 @@ def _sink(word: str, setup: Recording) -> Sink:
 
 _BUFFER_S: Final = 60  # What a listener that has fallen behind is kept, s; LSL drops older samples
 _APART_S: Final = 5.0  # Age of the newest sample above which the clock of the poses is taken to be another than LSL's
+_FLUSH_S: Final = 2.0  # Time after which estimates are in an MCAP file
 _IRREGULAR: Final = 0.0  # No nominal rate, so that receivers do not space the frames equally over a gap
 
 
@@ -329,6 +333,31 @@ class RobotSink:
     def close(self) -> None:
         """End the stances of the feet."""
         self._robot.finish()
+
+
+class McapSink(PersonLog):
+    """Writes estimates into an MCAP file as they come; a session that is killed loses two seconds of it."""
+
+    def __init__(self, path: Path, skeleton: SkeletonModel):
+        """Open a file that must not exist, else `OutputExistsError`; `RtofError`: the extra is not installed."""
+        check_new_file(path, overwrite=False)
+        make_folders(path.parent)
+        super().__init__(path, skeleton)
+        self._say, self._time, self._flushed = self.topic("/messages", "std_msgs/msg/String"), 0.0, 0.0
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        """Write an estimate; errors as those of `LslOutlet.send`."""
+        motion = self._skeleton.motion(estimate.poses[-1:], estimate.confidence)
+        angles = self._skeleton.angles(motion.q)
+        self.write_motion(replace(motion, q=np.concatenate([motion.q[:, :7], angles], axis=1)))
+        self._time = float(motion.times[-1])
+        if abs(self._time - self._flushed) > _FLUSH_S:
+            self._mcap.flush()
+            self._flushed = self._time
+
+    def tell(self, sentence: str) -> None:
+        """Write a message about the streams."""
+        self._say(self._time, data=sentence)
 
 
 def channels(skeleton: SkeletonModel) -> Iterator[dict[str, str]]:

@@ -21,8 +21,8 @@ OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.format
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -31,13 +31,14 @@ import numpy as np
 
 from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
 from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.clinical.angles import angle_blocks
 from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
-from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
+from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, MeasurementsWriter, measurements_path
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.trial_results import TrialResults
+from rtof_kin.formats.trial_results import Beside, TrialResults
 from rtof_kin.markers.trials import MarkerResult, marker_facts
 from rtof_kin.reconstruction.result import Reconstruction, measurements_of
 from rtof_kin.reporting import certificate as certified
@@ -46,6 +47,7 @@ from rtof_kin.reporting.audit_results import AuditResult, headline
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SIGMAS, read_summary
+from rtof_kin.vision.video import h264_frames
 
 MARKER: Final = MOTION
 MOST_SECONDS: Final = 600.0
@@ -109,8 +111,8 @@ def export(
         contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
-        with MotionReader(temporary / MARKER) as reader:
-            write_motion_files(temporary, reader, formats, partial(results_of, folder=temporary))
+        with MotionReader(temporary / MARKER) as reader, beside_of(temporary) as beside:
+            write_motion_files(temporary, reader, formats, beside)
         if statistics.certificate is not None and statistics.certificate.left_out:
             certified.write_frames(statistics.certificate, temporary)
         if figures and whole is not None and can_draw():
@@ -210,10 +212,30 @@ def export_markers(
     with new_folder(Path(folder), MARKER, overwrite) as temporary:
         with MotionWriter(temporary / MARKER, found.body.skeleton, mode=MARKERS) as writer:
             writer.append(found.motion)
-        write_motion_files(temporary, found.motion, formats, trial_results)
+        write_motion_files(temporary, found.motion, formats, Beside(trial_results, angle_blocks))
         for name, contents in (("summary.json", about), ("markers.json", facts)):
             (temporary / name).write_text(json.dumps(contents, indent=2) + "\n", encoding="utf-8")
     return results
+
+
+@contextmanager
+def beside_of(folder: Path, video: Path | None = None) -> Iterator[Beside]:
+    """Yield what formats have beside the motion in the output folder of a reconstruction; errors of readers.
+
+    Args:
+        video: of the first camera, uncropped.
+    """
+    with ExitStack() as files:
+        path = measurements_path(folder)
+        measured = files.enter_context(MeasurementsReader(path)) if path.is_file() else None
+        view = next(iter(measured.read(0, 1).views), None) if measured is not None else None
+
+        def frames() -> Iterator[tuple[float, bytes]]:
+            size = None if view is None else (view.camera.width_px, view.camera.height_px)
+            later = 0.0 if view is None else float(view.times[0] - view.video_times[0])
+            return ((time + later, data) for time, data in h264_frames(video or "", size))
+
+        yield Beside(partial(results_of, folder=folder), angle_blocks, measured, frames if video is not None else None)
 
 
 def results_of(motion: MotionSource, folder: Path) -> TrialResults:

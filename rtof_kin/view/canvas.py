@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.packages import optional
-from rtof_kin.view.legend import Rgb
+from rtof_kin.data.poses import Rgb
 
 Image = NDArray[np.uint8]
 Coverage = NDArray[np.float32]

@@ -13,9 +13,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.packages import optional
 from rtof_kin.data.keypoints import Measurements
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.poses import PoseSequence, Rgb
 from rtof_kin.view.block_content import AXES_LENGTH, BlockContent, segment_solids
-from rtof_kin.view.legend import Rgb
 
 _TRANSPARENT: Final = 0.45  # Opacity of a person beside the motion
 _AXES_RADIUS: Final = 0.0035

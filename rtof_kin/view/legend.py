@@ -15,19 +15,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_json
-from rtof_kin.data.poses import Provenance
+from rtof_kin.data.poses import COLOURS, Provenance, Rgb
 from rtof_kin.reporting.summary_file import SUMMARY
 
-Rgb = tuple[int, int, int]
-COLOURS: Final[dict[Provenance, Rgb]] = {
-    Provenance.CAMERA_AND_IMU: (0, 158, 115),
-    Provenance.CAMERA: (86, 180, 233),
-    Provenance.IMU: (230, 159, 0),
-    Provenance.BRIDGED: (204, 121, 167),
-    Provenance.PRIOR: (150, 150, 150),
-    Provenance.NOBODY: (150, 150, 150),
-}
-"""RGB by provenance, distinguishable with a colour vision deficiency (Okabe and Ito, 2008)."""
 PALETTE: Final[NDArray[np.uint8]] = np.array([COLOURS[kind] for kind in sorted(Provenance)], dtype=np.uint8)
 """(kinds, 3) the same, by the number of the provenance."""
 WORDS: Final[dict[Provenance, str]] = {

@@ -20,9 +20,9 @@ from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import StreamFault
-from rtof_kin.data.poses import Provenance
+from rtof_kin.data.poses import COLOURS, Provenance, Rgb
 from rtof_kin.view.canvas import Box, Canvas, Image, Label, LabelLayout, Lettering, Stroke
-from rtof_kin.view.legend import COLOURS, WORDS, Rgb
+from rtof_kin.view.legend import WORDS
 from rtof_kin.view.overlay_settings import OverlaySettings
 from rtof_kin.view.projected_motion import Moment, ProjectedMotion, ProjectedPose, shown_provenance
 

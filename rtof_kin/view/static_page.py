@@ -6,17 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MOTION, write_motion
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.view.legend import Verdict, corner_html, legend_html
 from rtof_kin.view.motion_scene import ELLIPSOIDS, MotionScene
-from rtof_kin.view.viewer import Opened
+from rtof_kin.view.viewer import Opened, local_server, motion_files
 
 LARGEST_MB: Final = 50.0  #: [MB] Default limit of the file
 FASTEST_HZ: Final = 30.0  #: Default rate of the frames
@@ -73,6 +76,7 @@ def write_static_page(
     stop: float | None = None,
     rate_hz: float = FASTEST_HZ,
     largest_mb: float = LARGEST_MB,
+    slowest_hz: float = SLOWEST_HZ,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> StaticPage:
@@ -82,7 +86,7 @@ def write_static_page(
     most. `overwrite`: replace an existing file. `progress`: called with ("page", frames done, frames in all).
 
     Raises:
-        InvalidInputError: an empty part, or it would exceed the limit even at 5 Hz.
+        InvalidInputError: an empty part, or it would exceed the limit even at `slowest_hz`.
         OutputExistsError, WritingError: the file cannot be written.
     """
     times = files.motion.times
@@ -96,10 +100,10 @@ def write_static_page(
         most = max(int((largest_mb - base) / each), 0)
         if thin := len(frames) > most:
             rate *= most / len(frames)
-            if rate < SLOWEST_HZ:
+            if rate < slowest_hz:
                 raise InvalidInputError(
                     f"{path}: would need {base + each * len(frames):.0f} MB, and more than {largest_mb:g} MB "
-                    f"even at {SLOWEST_HZ:g} frames per second; write a part of it (--from, --to), or allow "
+                    f"even at {slowest_hz:g} frames per second; write a part of it (--from, --to), or allow "
                     "more (--limit)"
                 )
             frames = frames_of_page(times, start, stop, rate)
@@ -109,6 +113,29 @@ def write_static_page(
         scene.close()
     write_text(Path(path), page, overwrite)
     return StaticPage(Path(path), len(frames), rate, len(page.encode()) / 1e6, thin)
+
+
+@dataclass(frozen=True)
+class NotebookPage:
+    """A page that a notebook shows below the cell that it is the value of."""
+
+    html: str
+    note: str  #: How many frames it has
+
+    def _repr_html_(self) -> str:
+        frame = f'<iframe srcdoc="{escape(self.html)}" style="width:100%;height:30em;border:0"></iframe>'
+        return f"{frame}<p>{self.note}</p>"
+
+
+def notebook_page(motion: Motion, largest_mb: float = 20.0) -> NotebookPage:
+    """Return a page of a motion, of at most a size, MB; a long one has fewer frames per second, as its note says."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "page.html"
+        write_motion(path.with_name(MOTION), motion)
+        with motion_files(folder) as files, local_server() as server:
+            made = write_static_page(server, files, path, largest_mb=largest_mb, slowest_hz=0.0)
+        thinned = f", thinned out to stay below {largest_mb:g} MB" if made.thinned else ""
+        return NotebookPage(path.read_text("utf-8"), f"{made.frames} frames, {made.rate_hz:.3g} per second{thinned}")
 
 
 def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
@@ -134,6 +135,25 @@ def _file(path: str | Path, every: int) -> Generator[VideoFrame]:
                 yield VideoFrame(now / slowed, upright_image(frame, stream), index, total)
         if index < 0:
             raise FileFormatError(path, "there is no readable frame in it")
+
+
+def h264_frames(path: str | Path, size: tuple[int, int] | None = None) -> Iterator[tuple[float, bytes]]:
+    """Generate the frames of a video file, encoded anew, upright: time, s, and an access unit of H.264 in Annex B,
+    without B frames and with a key frame every 60, as Foxglove and Rerun decode them. size: width and height, px;
+    default: those of the file. Errors as `read_video`.
+    """
+    av, encoder = optional("av", "video"), None
+    for number, frame in enumerate(read_video(path)):
+        width, height = (side // 2 * 2 for side in size or frame.image.shape[1::-1])
+        if encoder is None:
+            encoder = av.CodecContext.create("libx264" if "libx264" in av.codecs_available else "libopenh264", "w")
+            encoder.width, encoder.height, encoder.pix_fmt, encoder.max_b_frames = width, height, "yuv420p", 0
+            encoder.time_base, encoder.gop_size = Fraction(1, 1000), 60
+            if encoder.name == "libx264":
+                encoder.options = {"preset": "superfast", "tune": "zerolatency", "crf": "23"}
+        image = av.VideoFrame.from_ndarray(frame.image, format="bgr24").reformat(width, height, "yuv420p")
+        image.pts = number
+        yield frame.time, b"".join(map(bytes, encoder.encode(image)))
 
 
 def _next_time(path: str | Path, last: float, stamp: float | None, rate_hz: float | None) -> float:

@@ -6,7 +6,8 @@ import io
 import os
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,11 @@ import numpy as np
 import pytest
 from detector_support import points_px, walking, watching
 from live_support import FakeEstimator, demo, imu_samples
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import McapRecord
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
 from rich.console import Console
 
 from rtof_kin.calibration.result import (
@@ -25,6 +31,7 @@ from rtof_kin.calibration.result import (
 from rtof_kin.cli.live import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.open_sources import McapSink
 from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.recording.recording import Recording
@@ -93,6 +100,33 @@ def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_termina
     done = cli.ok("live", DEMO, "--imus", DEMO, "--seconds", 4, "--speed", "inf")
     assert estimator["landmarks"] == ()
     done.says("8 of 8 streams ok", "knee flexion", "lag 0 ms")
+
+
+@pytest.mark.usefixtures("estimator")
+def test_mcap_is_written_as_poses_come_and_no_file_is_replaced(cli: Cli, tmp_path: Path) -> None:
+    file = tmp_path / "new" / "take.mcap"
+    options = ("live", DEMO, "--imus", DEMO, "--seconds", 3, "--speed", "inf", "--mcap", file)
+    cli.ok(*options)
+    with file.open("rb") as stream:
+        found = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/joint_states"]))
+    assert 175 <= len(found) <= 181
+    assert list(found[0][3].name) == list(demo().skeleton.dof_names)
+    again = cli(*options)
+    assert (again.code, "take.mcap" in again.err) == (2, True)
+    sink, fake = McapSink(tmp_path / "killed.mcap", demo().skeleton), FakeEstimator()
+    fake.advance(0.0)
+    for estimate in fake.advance(5.0):
+        sink.send(estimate)
+        sink.tell("a sentence")
+    left = (tmp_path / "killed.mcap").read_bytes()  # of a session that is killed now
+    sink.close()
+    names = [type(one).__name__ for one in complete(left)]
+    assert 4 * 60 * 5 < names.count("Message") < 5 * 60 * 5
+
+
+def complete(left: bytes) -> Iterator[McapRecord]:
+    with suppress(EndOfFile):
+        yield from StreamReader(io.BytesIO(left)).records
 
 
 def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(

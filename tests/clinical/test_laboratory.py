@@ -18,7 +18,7 @@ from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.laboratory import plug_in_gait_angles, trial_results
 from rtof_kin.formats.markers import read_c3d
 from rtof_kin.formats.motion_files import write_motion_files
-from rtof_kin.formats.trial_results import MOST_EVENTS, TrialResults
+from rtof_kin.formats.trial_results import MOST_EVENTS, Beside, TrialResults
 
 Array = NDArray[np.float64]
 MASS = 70.0
@@ -33,7 +33,7 @@ def walk() -> Motion:
 @pytest.fixture(scope="module")
 def folder(walk: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = partial(trial_results, subject="P07", mass_kg=MASS)
-    return write_motion_files(tmp_path_factory.mktemp("c3d"), walk, ("c3d",), results)
+    return write_motion_files(tmp_path_factory.mktemp("c3d"), walk, ("c3d",), Beside(results))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_landmarks_are_read_back_without_the_results(folder: Path, walk: Motion)
 
 
 def test_a_recording_without_labels_names_nobody(tmp_path: Path) -> None:
-    write_motion_files(tmp_path, walking(2.0), ("c3d",), trial_results)
+    write_motion_files(tmp_path, walking(2.0), ("c3d",), Beside(trial_results))
     file = ezc3d.c3d(str(tmp_path / "motion.c3d"))
     assert parameters(file, "SUBJECTS")["NAMES"] == ["Subject"]
     assert "FORCES" not in parameters(file, "POINT")
@@ -118,7 +118,7 @@ def test_a_recording_without_labels_names_nobody(tmp_path: Path) -> None:
 
 def test_events_beyond_one_parameter_continue_and_the_rest_is_counted(tmp_path: Path) -> None:
     events = tuple((0.5 * n, "left", "foot_off") for n in range(MOST_EVENTS + 3))
-    write_motion_files(tmp_path, walking(0.5), ("c3d",), lambda _: TrialResults(events, subject="x" * 40))
+    write_motion_files(tmp_path, walking(0.5), ("c3d",), Beside(lambda _: TrialResults(events, subject="x" * 40)))
     event = parameters(ezc3d.c3d(str(tmp_path / "motion.c3d")), "EVENT")
     assert [event["USED"][0], len(event["LABELS"]), len(event["LABELS8"])] == [MOST_EVENTS, 255, 255]
     assert event["TIMES2"][:, 0].tolist() == [2, 7.5]

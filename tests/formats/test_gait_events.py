@@ -17,6 +17,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.corrections import Correction
 from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.formats.motion_files import write_motion_files
+from rtof_kin.formats.trial_results import Beside
 
 CLOCK = np.arange(0.0, 9.1, 0.1)
 VISUAL3D = (
@@ -80,7 +81,7 @@ def test_events_of_a_c3d_by_ezc3d_replace_those_of_their_feet(tmp_path: Path) ->
 
 def test_exported_events_are_read_back(tmp_path: Path) -> None:
     motion = walking(3.0)
-    write_motion_files(tmp_path, motion, ("c3d",), trial_results)
+    write_motion_files(tmp_path, motion, ("c3d",), Beside(trial_results))
     before = gait_events(body_paths(motion)).feet
     corrected = replace(motion, corrections=read_event_corrections(tmp_path / "motion.c3d", motion.times))
     after = gait_events(body_paths(corrected)).feet

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,14 @@ import ezc3d
 import numpy as np
 import pinocchio as pin
 import pyarrow.parquet as pq
+import pygltflib
 import pytest
+import trimesh
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory as Ros2
 from numpy.typing import NDArray
 from opensim_support import read_by_opensim
+from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -159,11 +165,60 @@ def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
 def test_other_bvh_reader(folder: Path, motion: Motion, number: int, piece: tuple[int, int]) -> None:
-    bvh = pytest.importorskip("bvh", reason="of the extra dev")
-    file = bvh.Bvh((folder / f"motion_{number}.bvh").read_text())
+    file, p, R = bvh_poses(folder / f"motion_{number}.bvh")
     poses = motion.poses[slice(*piece)]
     assert file.frame_time == pytest.approx(1 / 60)
     assert file.get_joints_names() == list(motion.skeleton.names)
+    for j, name in enumerate(file.get_joints_names()):
+        assert_near(p[name] / 100 @ R_BVH_WORLD, poses.p_world_joint[:, j])
+        R_world_bone = R_BVH_WORLD.T @ R[name] @ R_BVH_WORLD
+        assert angle_between(R_world_bone, poses.R_world_bone[:, j]).max() < RADIANS
+
+
+LAFAN1_TRUNK = ("Spine", "Spine1", "Spine2", "Neck", "Head")
+LAFAN1_ARM = ("Shoulder", "Arm", "ForeArm", "Hand")
+LAFAN1 = [
+    "Hips",
+    *(f"{side}{name}" for side in ("Left", "Right") for name in ("UpLeg", "Leg", "Foot", "Toe")),
+    *LAFAN1_TRUNK,
+    *(f"{side}{name}" for side in ("Left", "Right") for name in LAFAN1_ARM),
+]
+"""As in ``walk1_subject1.bvh`` of that data set."""
+
+
+@pytest.mark.parametrize(("number", "piece"), PIECES)
+def test_lafan1_has_its_names_order_channels_and_axes(
+    folder: Path, motion: Motion, number: int, piece: tuple[int, int]
+) -> None:
+    file, p, R = bvh_poses(folder / f"motion_{number}_lafan1.bvh")
+    names, poses, skeleton = file.get_joints_names(), motion.poses[slice(*piece)], motion.skeleton
+    assert names == LAFAN1
+    assert [file.joint_parent(name).name for name in ("LeftToe", "Neck", "RightShoulder")] == [
+        "LeftFoot",
+        "Spine2",
+        "Spine2",
+    ]
+    assert {tuple(file.joint_channels(n)) for n in names[1:]} == {("Zrotation", "Yrotation", "Xrotation")}
+    marks = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    for name in names:
+        ours = {"Spine2": "Spine3", "LeftToe": "LeftToeBase", "RightToe": "RightToeBase"}.get(name, name)
+        at = marks[:, list(skeleton.landmarks).index(ours)]
+        above = name in LAFAN1_TRUNK[2:] or name.endswith(LAFAN1_ARM)
+        assert_near(p[name] / 100 @ R_BVH_WORLD, at, 0.0005 if above else METRES)
+    bones = {"LeftLeg": "LeftFoot", "RightArm": "RightForeArm", "LeftForeArm": "LeftHand", "LeftFoot": "LeftToe"}
+    for name, end in bones.items():  # x of the file's joints is along the bone
+        along = (p[end] - p[name]) / np.linalg.norm(p[end] - p[name], axis=1, keepdims=True)
+        assert_near(R[name][:, :, 0], along)
+    forward = {"Hips": (1, 1), "Head": (1, 1), "RightLeg": (1, 1), "LeftArm": (1, -1), "RightHand": (1, -1)}
+    for name, (axis, sign) in forward.items():
+        found = R_BVH_WORLD.T @ R[name][:, :, axis, None] * sign
+        assert_near(found[..., 0], poses.R_world_bone[:, skeleton.names.index(name), :, 0])
+
+
+def bvh_poses(path: Path) -> tuple[Any, dict[str, Array], dict[str, Array]]:
+    """A file read by another package, and positions (T, 3) and orientations (T, 3, 3) of its joints in its world."""
+    bvh = pytest.importorskip("bvh", reason="of the extra dev")
+    file = bvh.Bvh(path.read_text())
     p: dict[str, Array] = {}
     R: dict[str, Array] = {}
     for j, name in enumerate(file.get_joints_names()):
@@ -176,9 +231,7 @@ def test_other_bvh_reader(folder: Path, motion: Motion, number: int, piece: tupl
             parent = file.joint_parent(name).name
             p[name] = p[parent] + R[parent] @ np.array(file.joint_offset(name))
             R[name] = R[parent] @ turn
-        assert_near(p[name] / 100 @ R_BVH_WORLD, poses.p_world_joint[:, j])
-        R_world_bone = R_BVH_WORLD.T @ R[name] @ R_BVH_WORLD
-        assert angle_between(R_world_bone, poses.R_world_bone[:, j]).max() < RADIANS
+    return file, p, R
 
 
 def test_csv_has_numbers_under_names_with_units(folder: Path, motion: Motion) -> None:
@@ -244,6 +297,97 @@ def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: Mot
                 assert_near(p, motion.poses.p_world_joint[t, j])
             played.append(t)
     assert played == [t for t in range(T) if not UNKNOWN.start <= t < UNKNOWN.stop]
+
+
+@pytest.mark.parametrize(("number", "piece"), PIECES)
+def test_glb_animates_the_joints_and_keeps_the_rules_of_gltf(
+    folder: Path, motion: Motion, number: int, piece: tuple[int, int]
+) -> None:
+    file, tracks = animated(folder / f"motion_{number}.glb")
+    poses = motion.poses[slice(*piece)]
+    names, p, R = [node.name for node in file.nodes], {}, {}
+    assert names == list(motion.skeleton.names)
+    parents = {child: j for j, node in enumerate(file.nodes) for child in node.children or []}
+    for j in range(len(names)):
+        times, quat = tracks[j, "rotation"]
+        assert_near(times, poses.times - poses.times[0], 1e-6)
+        assert_near(np.linalg.norm(quat, axis=1), np.ones(len(quat)), 1e-6)
+        turn, up = Rotation.from_quat(quat).as_matrix(), parents.get(j)
+        R[j] = turn if up is None else R[up] @ turn
+        p[j] = tracks[0, "translation"][1] if up is None else p[up] + R[up] @ np.array(file.nodes[j].translation)
+        assert_near(p[j] @ R_BVH_WORLD, poses.p_world_joint[:, j], 1e-5)
+        assert_near(R_BVH_WORLD.T @ R[j] @ R_BVH_WORLD, poses.R_world_bone[:, j], 1e-5)
+        seen = tracks[j, "weights"][1].reshape(-1, 2)[:, 1] == 0
+        np.testing.assert_array_equal(seen, poses.valid[:, j] & (poses.provenance[:, j] == Provenance.CAMERA))
+    scene = trimesh.load(folder / f"motion_{number}.glb")
+    assert all(mesh.volume > 0 for mesh in scene.geometry.values() if mesh.area)  # faces look outwards
+    assert scene.extents[1] > 1.4  # standing along y
+
+
+def animated(path: Path) -> tuple[Any, dict[tuple[int, str], tuple[Array, Array]]]:
+    """The file, and times and values of each animated property of a node, after a check of its buffers."""
+    file = pygltflib.GLTF2().load(str(path))
+    blob, sizes = file.binary_blob(), {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+    assert file.buffers[0].byteLength == len(blob)
+    ends = [(view.byteOffset, view.byteOffset + view.byteLength) for view in file.bufferViews]
+    assert ends[-1][1] == len(blob)
+    assert all(one[1] == other[0] and one[1] % 4 == 0 for one, other in pairwise(ends))
+    values = []
+    for accessor in file.accessors:
+        start, stop = ends[accessor.bufferView]
+        own = np.frombuffer(blob[start:stop], "<f4" if accessor.componentType == pygltflib.FLOAT else "<u4")
+        own = own.reshape(accessor.count, sizes[accessor.type])
+        if accessor.min:
+            assert_near([accessor.min, accessor.max], [own.min(axis=0), own.max(axis=0)], 0)
+        values.append(own.astype(float))
+    (animation,), tracks = file.animations, {}
+    for channel in animation.channels:
+        sampler = animation.samplers[channel.sampler]
+        assert file.accessors[sampler.input].min == [0.0]
+        tracks[channel.target.node, channel.target.path] = values[sampler.input][:, 0], values[sampler.output]
+    return file, tracks
+
+
+def test_mcap_and_bag_place_every_link_and_say_what_was_observed(folder: Path, motion: Motion) -> None:
+    found: dict[str, dict[int, Any]] = {}
+    with (folder / "motion.mcap").open("rb") as stream:
+        for _, channel, raw, message in make_reader(stream, decoder_factories=[Ros2()]).iter_decoded_messages():
+            found.setdefault(channel.topic, {})[round(raw.log_time * 60e-9 - 60 * START)] = message
+    with AnyReader([folder / "motion_bag"]) as reader:
+        kinds = {one.topic: (one.msgtype, one.msgcount) for one in reader.connections}
+        bag = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/bands"]
+    assert kinds["/tf"] == ("tf2_msgs/msg/TFMessage", len(found["/tf"]))
+    assert kinds["/bands"] == ("rtof_kin_msgs/msg/Bands", T)
+    np.testing.assert_array_equal([one.seen_by for one in bag], motion.poses.provenance)
+    known = [t for t in range(T) if not UNKNOWN.start <= t < UNKNOWN.stop]
+    assert list(found["/tf"]) == list(found["/joint_states"]) == known
+    names, poses = list(motion.skeleton.names), motion.poses
+    for t in known[::7]:
+        state, p, R = found["/joint_states"][t], {"world": np.zeros(3)}, {"world": np.eye(3)}
+        assert_near(state.position, motion.q[t, 7:], 0)
+        assert list(state.name) == list(motion.skeleton.dof_names)
+        for one in found["/tf"][t].transforms:
+            parent, child, place = one.header.frame_id, one.child_frame_id, one.transform
+            turn = [getattr(place.rotation, axis) for axis in "xyzw"]
+            p[child] = p[parent] + R[parent] @ [getattr(place.translation, axis) for axis in "xyz"]
+            R[child] = R[parent] @ Rotation.from_quat(turn).as_matrix()
+        assert_near([p[name] for name in names], poses.p_world_joint[t], 1e-9)
+        assert_near([R[name] for name in names], poses.R_world_bone[t], 1e-9)
+    model = pin.buildModelFromXML(found["/robot_description"].popitem()[1].data)
+    assert {frame.name for frame in model.frames} >= {*p} - {"world"}
+    assert list(found["/bands"]) == list(range(T))
+    seen = np.array([[*one.seen_by] for one in found["/bands"].values()])
+    np.testing.assert_array_equal(seen, poses.provenance)
+    np.testing.assert_array_equal([one.valid for one in found["/bands"].values()], poses.valid)
+    knee = motion.skeleton.dof_names.index("LeftLeg_y")
+    assert [one.observed[knee] for one in found["/bands"].values()][27:39] == [True, *[False] * 10, True]
+    cloud = found["/joints"][LEG_UNSEEN.start]
+    numbers = {7: "<f4", 2: "u1"}
+    layout = {"names": [f.name for f in cloud.fields], "formats": [numbers[f.datatype] for f in cloud.fields]}
+    points = np.frombuffer(bytes(cloud.data), np.dtype({**layout, "itemsize": cloud.point_step}))
+    assert_near(points["z"], poses.p_world_joint[LEG_UNSEEN.start, :, 2])
+    grey = points["rgb"].copy().view("u4") == 0x969696
+    assert {name for name, own in zip(names, grey, strict=True) if own} == {*LEG}
 
 
 def test_index_describes_every_file(folder: Path, motion: Motion) -> None:

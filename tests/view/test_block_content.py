@@ -9,10 +9,9 @@ import pytest
 from scene_support import SIGMA, walking, with_provenance
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import COLOURS, PoseSequence, Provenance
 from rtof_kin.view.block_content import LARGEST_SEMI_AXIS, block_content, ellipsoids, segment_provenance, segment_solids
 from rtof_kin.view.layers import barrel
-from rtof_kin.view.legend import COLOURS
 
 FRAMES = 8
 

@@ -17,11 +17,10 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel  # noqa: E402
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError  # noqa: E402
 from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.imu_stream import FaultKind, StreamFault  # noqa: E402
-from rtof_kin.data.poses import Provenance  # noqa: E402
+from rtof_kin.data.poses import COLOURS, Provenance  # noqa: E402
 from rtof_kin.formats.measurements_file import read_measurements  # noqa: E402
 from rtof_kin.view import film_files  # noqa: E402
 from rtof_kin.view.film import write_overlay  # noqa: E402
-from rtof_kin.view.legend import COLOURS  # noqa: E402
 from rtof_kin.view.overlay_settings import OverlaySettings  # noqa: E402
 from rtof_kin.vision.video import read_video  # noqa: E402
 

@@ -7,13 +7,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser_support import SOFTWARE_3D, BrowserPage
+from matplotlib.image import imread
 from report_support import BROWSER
 from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
-from rtof_kin.view.static_page import write_static_page
+from rtof_kin.view.static_page import notebook_page, write_static_page
 from rtof_kin.view.viewer import MotionViewer, address, local_server, motion_files
 
 pytest.importorskip("viser")
@@ -73,6 +75,27 @@ def test_written_page_opens_from_the_disk_and_asks_for_nothing(out: Path, page: 
     assert refused == 1
     page.until("performance.now() > 3500")
     assert any("Content Security Policy" in error for error in page.errors)
+
+
+def test_a_notebook_plays_the_motion_and_says_what_it_left_out(page: BrowserPage, tmp_path: Path) -> None:
+    shown = walking(60).show()
+    assert "36 frames, 30 per second" in shown._repr_html_()
+    assert "thinned out" in notebook_page(walking(60), len(shown.html) / 1e6 - 0.01).note
+    path = tmp_path / "notebook.html"
+    path.write_text(f"<html><body>{shown._repr_html_()}</body></html>")
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path.as_uri())
+    inside = "document.querySelector('iframe').contentDocument"
+    page.until(f"{inside}.querySelector('canvas') !== null", 60)
+    deadline, drawn = time.monotonic() + 30, 0
+    while drawn < 50 and time.monotonic() < deadline:
+        red, green, blue = imread(page.picture(tmp_path / "page.png", whole=False))[..., :3].T
+        drawn = np.sum((green > red + 0.2) & (green > blue + 0.05))  # the colour of what camera and IMU observed
+    assert drawn >= 50
+    assert complaints(page) == []
+    assert [url for url in page.requests if not url.startswith((*INSIDE, "about:"))] == [path.as_uri()]
+    page.open("about:blank")
 
 
 def test_served_page_shows_the_motion_and_asks_its_own_server_only(out: Path, page: BrowserPage) -> None:

@@ -19,12 +19,11 @@ from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
-from rtof_kin.data.poses import Provenance
+from rtof_kin.data.poses import COLOURS, Provenance, Rgb
 from rtof_kin.view.blocks import frame_at
 from rtof_kin.view.camera_layer import camera_block
 from rtof_kin.view.curves import AngleBlocks, Curves
 from rtof_kin.view.layers import solid_colours
-from rtof_kin.view.legend import COLOURS, Rgb
 from rtof_kin.view.motion_scene import MotionScene
 from rtof_kin.view.viewer import MotionViewer, Opened, local_server, motion_files
 
