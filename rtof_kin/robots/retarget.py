@@ -21,6 +21,7 @@ import math
 import time as clock
 from collections import deque
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -37,8 +38,9 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.joint_trajectory import ros_time, ros_transform, write_message
+from rtof_kin.formats.joint_trajectory import WORLD_FRAME, ros_time, ros_transform, write_message
 from rtof_kin.formats.mjcf import write_qpos
+from rtof_kin.formats.ros_log import RosLog
 from rtof_kin.robots.robot_map import RobotMap
 
 UNOBSERVED_M, UNOBSERVED, UNSEEN_TURN = 0.3, 1.0, 0.5
@@ -144,7 +146,7 @@ class Retargeter:
             MissingPackageError: the extra robots is not installed. FileFormatError: not a URDF of joints with one angle
                 each. UnknownNameError: a link, joint or segment of the map does not exist.
         """
-        need = "robots", "a robot's inverse kinematics"
+        need, self.urdf = ("robots", "a robot's inverse kinematics"), urdf
         self._pink, self._solvers, _ = (optional(name, *need) for name in ("pink", "qpsolvers", "daqp"))
         try:
             self.model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
@@ -346,7 +348,8 @@ class RobotMotion:
 
     def write(self, folder: Path) -> None:
         """Write ``robot_joint_trajectory.json`` and ``robot_base_trajectory.json``, messages of ROS as of a person,
-        ``robot_qpos.npz`` for MuJoCo, see `write_qpos`, and ``retarget.json`` with the figures, over existing files.
+        ``robot_qpos.npz`` for MuJoCo, see `write_qpos`, ``retarget.json`` with the figures, and with the extra connect
+        ``robot.mcap``, over existing files.
         """
         angles, robot = self.q[:, 7:], self.robot
         rates = np.gradient(angles, self.times, axis=0) if len(angles) > 1 else np.zeros_like(angles)
@@ -359,3 +362,24 @@ class RobotMotion:
         figures = {name: float(one) if np.isfinite(one) else None for name, one in robot.track.figures().items()}
         found = {"map": robot.map.name, "scale": robot.scale, "failures": robot.track.failures} | figures
         write_text(folder / FIGURES, json.dumps(found, indent=2) + "\n", overwrite=True)
+        if find_spec("mcap") and find_spec("rosbags"):
+            self._write_mcap(folder / "robot.mcap")
+
+    def _write_mcap(self, path: Path) -> None:
+        """Write joint states and the transform of each link in the one that it hangs on."""
+        model, data = self.robot.model, self.robot.model.createData()
+
+        def above(frame: int) -> int:
+            while (frame := model.frames[frame].parentFrame) and model.frames[frame].type != pin.FrameType.BODY:
+                pass
+            return frame
+
+        pairs = [(above(i), i) for i, one in enumerate(model.frames) if one.type == pin.FrameType.BODY]
+        names = [(model.frames[a].name if a else WORLD_FRAME, model.frames[i].name) for a, i in pairs]
+        placed = np.empty((len(self.q), len(pairs), 7))
+        for q, rows in zip(self.q, placed, strict=True):
+            pin.framesForwardKinematics(model, data, q)
+            rows[:] = [pin.SE3ToXYZQUAT(data.oMf[a].actInv(data.oMf[i])) for a, i in pairs]
+        path.unlink(missing_ok=True)
+        with RosLog(path, self.robot.urdf.read_text(encoding="utf-8"), self.robot.joints, names) as log:
+            log.write(self.times - self.times[0], self.q[:, 7:], placed[..., :3], placed[..., 3:])

@@ -11,8 +11,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from clinical_support import walk
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 from robots_support import G1, GR1, OTHERS, TALOS, h1_urdf
+from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
@@ -176,6 +179,17 @@ def test_files_are_read_by_mujoco_and_in_the_shape_of_ros(h1: Path, tmp_path: Pa
     assert base["joint_names"] == ["pelvis"]
     assert base["points"][-1]["time_from_start"] == {"sec": 0, "nanosec": 475000000}
     assert json.loads((tmp_path / FIGURES).read_text())["map"] == "h1"
+    with (tmp_path / "robot.mcap").open("rb") as stream:
+        read = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/tf", "/joint_states"])
+        last_of = {channel.topic: message for _, channel, _, message in read}
+    assert list(last_of["/joint_states"].position) == found.q[-1, 7:].tolist()
+    placed = {"world": np.eye(4)}
+    for one in last_of["/tf"].transforms:
+        p, quat, own = one.transform.translation, one.transform.rotation, np.eye(4)
+        own[:3, :3], own[:3, 3] = Rotation.from_quat([quat.x, quat.y, quat.z, quat.w]).as_matrix(), [p.x, p.y, p.z]
+        placed[one.child_frame_id] = placed[one.header.frame_id] @ own
+    for link in ("left_ankle_link", "right_elbow_link"):
+        np.testing.assert_allclose(placed[link][:3, 3], places(found, link, np.zeros(3))[-1], atol=1e-9)
 
 
 def test_wrong_maps_and_robots_are_refused_with_names(h1: Path, tmp_path: Path) -> None:
