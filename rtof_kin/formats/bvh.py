@@ -10,20 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.kinematics import children_of, local_rotations
-from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
-from rtof_kin.formats.motion_views import joint_tree
-from rtof_kin.formats.world_axes import METRES, UP
 
 Row = tuple[int, str]  #: Number of a line, from 1, and its text
 _CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
@@ -312,54 +308,3 @@ def _hierarchy(motion: ArticulatedMotion, order: str, joint: int, margin: str) -
 
 def _offset(point: Array) -> str:
     return "OFFSET " + " ".join(f"{value:.9f}" for value in point)
-
-
-# --- LAFAN1 --------------------------------------------------------------------------------------
-
-_FOOT: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
-_LAFAN1: Final = (
-    ("", "Hips", [[0, 0, 1], [1, 0, 0], [0, 1, 0]]),
-    ("Hips", "LeftUpLeg LeftLeg LeftFoot LeftToe", [[0, 0, -1], [1, 0, 0], [0, -1, 0]]),
-    ("Hips", "RightUpLeg RightLeg RightFoot RightToe", [[0, 0, -1], [1, 0, 0], [0, -1, 0]]),
-    ("Hips", "Spine Spine1 Spine2 Neck Head", [[0, 0, 1], [1, 0, 0], [0, 1, 0]]),
-    ("Spine2", "LeftShoulder LeftArm LeftForeArm LeftHand", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-    ("Spine2", "RightShoulder RightArm RightForeArm RightHand", [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]),
-)
-"""LAFAN1's chains of joints in the order of its files (Harvey et al., 2020): what they hang on, names, and x, y and z
-of their axes in the T-pose, in forward, left and up; x is along the bone. Those of feet and toes are `_FOOT`.
-"""
-_OURS: Final = {"Spine2": "Spine3", "LeftToe": "LeftToeBase", "RightToe": "RightToeBase"}  #: Our landmarks, if others
-
-
-def lafan1_tree(motion: MotionSource) -> Iterator[ArticulatedMotion]:
-    """Yield a motion on LAFAN1's tree: its 22 joints by name, in its order, and with its axes; else as `joint_tree`.
-
-    Two of the four spine joints are one there: it points to the next joint, whose distance is a constant. Errors as
-    `joint_tree`, and `InvalidInputError` for a skeleton that lacks a joint.
-    """
-    skeleton, above, R_bone_joint = motion.skeleton, dict[str, str](), np.empty((22, 3, 3))
-    for start, chain, axes in _LAFAN1:
-        for name in chain.split():
-            R_bone_joint[len(above)] = np.transpose(axes)
-            above[name], start = start, name
-    names, marks = tuple(above), [_OURS.get(name, name) for name in above]
-    if missing := [name for name in marks if name not in skeleton.landmarks]:
-        raise InvalidInputError(f"LAFAN1 needs {', '.join(missing)}, which the skeleton {skeleton.name} does not have")
-    parents = tuple(names.index(parent) if parent else -1 for parent in above.values())
-    own = skeleton.index(*(skeleton.landmarks[name][0] for name in marks))
-    (p_rest,) = skeleton.landmark_positions(*skeleton.forward_kinematics(skeleton.t_pose()[None]))
-    p_rest = p_rest[[list(skeleton.landmarks).index(name) for name in marks]]
-    bones = p_rest - p_rest[list(parents)]
-    for foot in (names.index("LeftFoot"), names.index("RightFoot")):
-        R_bone_joint[foot] = so3.minimal_rotation([1.0, 0, 0], bones[foot + 1]) @ _FOOT
-        R_bone_joint[foot + 1] = _FOOT
-    offsets = np.einsum("jba,jb->ja", R_bone_joint[list(parents)], bones) / METRES["cm"]
-    offsets[0], spine, chest = 0.0, names.index("Spine1"), names.index("Spine2")
-    for block, tree in zip(motion.blocks(), joint_tree(motion), strict=True):
-        R_world_bone = block.motion.poses.R_world_bone[:, own]
-        p = block.motion.poses.p_world_joint[:, own]
-        upward = np.einsum("tba,tb->ta", R_world_bone[:, spine], p[:, chest] - p[:, spine])
-        R_world_bone[:, spine] = R_world_bone[:, spine] @ so3.minimal_rotation(bones[chest], upward)
-        R_file_joint = UP["y"].T @ R_world_bone @ R_bone_joint
-        turns = local_rotations(parents, R_file_joint)
-        yield ArticulatedMotion(names, parents, offsets, turns, tree.p_root, tree.rate_hz, tree.unit_m)

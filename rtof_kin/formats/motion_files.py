@@ -67,12 +67,20 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.bvh import lafan1_tree, write_bvh
+from rtof_kin.formats.bvh import write_bvh
 from rtof_kin.formats.glb import write_glb
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_ros_trajectory
 from rtof_kin.formats.markers import rate_hz, write_c3d, write_trc
 from rtof_kin.formats.mjcf import FOOT_RADIUS, to_mjcf, write_qpos
-from rtof_kin.formats.motion_views import AnyMotion, even_times, joint_tree, landmark_markers, pieces, shares_from_prior
+from rtof_kin.formats.motion_views import (
+    AnyMotion,
+    even_times,
+    joint_tree,
+    lafan1_tree,
+    landmark_markers,
+    pieces,
+    shares_from_prior,
+)
 from rtof_kin.formats.opensim import write_mot, write_osim, write_sto
 from rtof_kin.formats.rerun_file import write_rrd
 from rtof_kin.formats.ros_log import write_ros_log

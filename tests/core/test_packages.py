@@ -121,4 +121,4 @@ def test_wrong_layouts_are_named_and_not_added(monkeypatch: pytest.MonkeyPatch) 
 def test_names_of_built_in_formats_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files.ADDED, "_added", {})
     with pytest.raises(InvalidInputError, match="'plain CSV' is the name of one that is built in"):
-        files.add_format(files.FORMATS[-1])
+        files.add_format(next(form for form in files.FORMATS if form.title == "plain CSV"))
