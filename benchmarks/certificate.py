@@ -96,11 +96,8 @@ FAULTS: Mapping[str, Callable[[Recording, Generator], Recording]] = {
 
 @cache
 def _lifter() -> Any:
-    import torch
-
     from lifting.predict import Lifter
 
-    torch.set_num_threads(1)
     return Lifter.load(None)
 
 

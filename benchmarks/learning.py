@@ -16,6 +16,7 @@ import torch
 
 from benchmarks.command_line import study_parser
 from lifting import checkpoint
+from lifting.model import FoldedNetwork
 from lifting.training.corpus import Corpus, read_corpus
 from lifting.training.losses import Validation
 from lifting.training.settings import TrainConfig
@@ -74,12 +75,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines += ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, (motion, config) in runs.items():
         with tempfile.TemporaryDirectory() as folder:
-            network, _ = checkpoint.load_checkpoint(train(config, motion, Path(folder) / "model.pt"))
+            weights, made = checkpoint.load_checkpoint(train(config, motion, Path(folder) / "model.npz"))
+        tensors = {key: torch.tensor(value) for key, value in weights.items()}
+        network = FoldedNetwork(made.body, made.network, tensors, flip=False)
         cells = []
         for markers in people.values():
             own = only(corpus, markers).in_shared_frames()
-            validation = Validation(own, network.receptive_field(), torch.device("cpu"), 2048)
-            found = validation.measure(network.eval(), flip=False)
+            validation = Validation(own, made.network.receptive_field(), torch.device("cpu"), 2048)
+            found = validation.measure(network)
             cells += [f"{found[kind]['rr_mm']:.1f} / {found[kind]['abs_mm']:.0f}" for kind in KINDS]
         lines.append("| " + " | ".join([name, *cells]) + " |")
         print(lines[-1], flush=True)

@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from benchmarks.command_line import rounded, study_parser
 from benchmarks.harness import SENSOR_SETS, bootstrap, recorded, split, test_clips, write_results
@@ -225,7 +224,6 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--lifter", default="live", help="a file, or a shipped one by name")
     parser.add_argument("--motions", help="only these, separated by commas")
     options = parser.parse_args(arguments)
-    torch.set_num_threads(1)
     lifter, clips = Lifter.load(options.lifter), test_clips(options.corpus)
     rows: list[Row] = []
     for i, clip in enumerate(clips):

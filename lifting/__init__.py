@@ -1,11 +1,5 @@
-"""Lifting of 2D landmarks to 3D poses with a temporal convolution network (torch).
+"""Lifting of 2D landmarks to 3D poses with a temporal convolution network.
 
-Only this package imports torch; arrays are float32 inside it. `predict.Lifter` is the way in for users,
-`training.train.train` makes a new lifter from motion capture.
-
-Importing it without torch raises `MissingPackageError`, which says what to install.
+Arrays are float32 inside it. `predict.Lifter` is the way in for users and needs NumPy alone; `training.train.train`
+makes a new lifter from motion capture, with torch.
 """
-
-from rtof_kin.core.packages import optional
-
-optional("torch", "lift", "the lifter, which takes keypoints to 3D,")

@@ -6,8 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 
-import torch
-from torch import Tensor
+from lifting.arrays import Tensor, like, namespace
 
 _SIDED = re.compile(r"(Left|Right|L|R)(?=[A-Z])")
 
@@ -75,12 +74,11 @@ class Body:
         """
         parts = []
         for joints in bone_groups(self.names).values():
-            side = offsets.new_tensor(
-                [[1.0, -1.0 if side_of(self.names[j])[0] == "right" else 1.0, 1.0] for j in joints]
-            )
-            middle = offsets.new_tensor([1.0, float(len(joints) > 1), 1.0])
-            parts.append((offsets[..., joints, :] * side).mean(dim=-2) * middle)
-        return torch.cat(parts, dim=-1)
+            side = [[1.0, -1.0 if side_of(self.names[j])[0] == "right" else 1.0, 1.0] for j in joints]
+            middle = [1.0, float(len(joints) > 1), 1.0]
+            mean = (offsets[..., joints, :] * like(offsets, side)).mean(axis=-2)
+            parts.append(mean * like(offsets, middle))
+        return namespace(offsets).concat(parts, axis=-1)
 
 
 def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:

@@ -1,7 +1,7 @@
 """File format of a trained lifter: weights, pose prior, description and provenance.
 
-Written by `torch.save` and read with ``weights_only=True``, so that it cannot run code. A SHA-256 over
-weights, prior and description detects damage.
+An .npz archive of numbers and texts: nothing is unpickled, so that it cannot run code. A SHA-256 over weights, prior
+and description detects damage.
 """
 
 from __future__ import annotations
@@ -9,31 +9,33 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
 from lifting.body import Body, bone_groups
-from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.model import NetworkConfig
 from lifting.windows import sizes
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, WritingError, reading
-from rtof_kin.core.files.arrays import check_sizes
-from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.errors import FileFormatError, MissingPackageError, reading
+from rtof_kin.core.files.arrays import check_sizes, npz_names, read_npz_as_saved, write_npz
+from rtof_kin.core.packages import optional
 
 FORMAT: Final = "rtof-kin lifter"
-VERSION: Final = 3
-READABLE: Final = (2, 3)  #: Versions that are read; files of version 2 have no pose prior
+VERSION: Final = 4
+READABLE: Final = (2, 3, 4)  #: Versions that are read, 2 and 3 with torch; files of version 2 have no pose prior
 ACKNOWLEDGEMENT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with "
     "funding from NSF EIA-0196217."
 )
 _MAX_CHANNELS, _MAX_JOINTS = 4096, 200
 _LARGEST_BYTES = 4 * 2**30
+_WEIGHTS, _PRIOR = "weights/", "prior/"
 
 
 @dataclass(frozen=True)
@@ -50,80 +52,79 @@ class LifterDescription:
 
 
 def save_checkpoint(
-    path: str | Path, network: TemporalNetwork, description: LifterDescription, overwrite: bool = False
+    path: str | Path, weights: Mapping[str, NDArray[Any]], description: LifterDescription, overwrite: bool = False
 ) -> Path:
-    """Write a lifter; raises OutputExistsError, WritingError: see `save_tensors`."""
+    """Write a lifter of weights by name; raises OutputExistsError, WritingError: see `core.files.folder.new_file`."""
     path = Path(path)
     values = asdict(replace(description, prior=None))
     text = json.dumps({k: v for k, v in values.items() if k != "prior"}, sort_keys=True)
-    weights = {k: v.detach().to("cpu").contiguous() for k, v in network.state_dict().items()}
-    arrays = {} if description.prior is None else description.prior.arrays()
-    prior = {name: torch.tensor(value) for name, value in arrays.items()}
-    content = {"format": FORMAT, "version": VERSION, "description": text, "weights": weights, "prior": prior}
-    save_tensors({**content, "sha256": _digest(text, weights, prior)}, path, overwrite)
+    prior = {} if description.prior is None else description.prior.arrays()
+    facts = {"format": FORMAT, "version": VERSION, "description": text, "sha256": _digest(text, weights, prior)}
+    arrays = {_WEIGHTS + k: v for k, v in weights.items()} | {_PRIOR + k: v for k, v in prior.items()}
+    write_npz(path, {k: np.asarray(v) for k, v in (facts | arrays).items()}, overwrite, compressed=False)
     return path
 
 
-def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
-    """Write by `torch.save`, atomically; errors as `core.files.folder.new_file`."""
-    with new_file(path, overwrite) as whole:
-        try:
-            torch.save(content, whole)
-        except RuntimeError as error:  # torch's error for a full disk
-            raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
-
-
-def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:
-    """Read a lifter, on the CPU in evaluation mode.
+def load_checkpoint(path: str | Path) -> tuple[dict[str, NDArray[Any]], LifterDescription]:
+    """Read the weights of a lifter, by name, and its description.
 
     Raises:
         FileFormatError: missing, not a lifter, written by another version, damaged or altered.
+        MissingPackageError: written by an earlier version, with torch, which is not installed.
     """
     path = Path(path)
     content = _read(path)
-    text, weights, prior = content.get("description"), content.get("weights"), content.get("prior", {})
-    if not isinstance(text, str) or not isinstance(weights, dict):
-        raise FileFormatError(path, "this lifter lacks its description or weights; train it again")
-    for tensors in (weights, prior):
-        if not isinstance(tensors, dict) or not all(
-            isinstance(k, str) and isinstance(v, Tensor) for k, v in tensors.items()
-        ):
-            raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
-    if _digest(text, weights, prior) != content.get("sha256"):
+    weights, prior = (
+        {k.removeprefix(group): v for k, v in content.items() if k.startswith(group)} for group in (_WEIGHTS, _PRIOR)
+    )
+    text = str(content.get("description", ""))
+    if _digest(text, weights, prior) != str(content.get("sha256")):
         raise FileFormatError(path, "the checksum does not match: the file is damaged or was altered; copy it again")
     with reading(path, "the description of this lifter is wrong: {}", ValueError, TypeError, KeyError, AttributeError):
-        description = _description(text, {name: value.double().numpy() for name, value in prior.items()})
-    network = TemporalNetwork(description.network)
-    with reading(path, "the weights do not fit the network described: {}", RuntimeError):
-        network.load_state_dict(weights)
-    if not all(bool(v.isfinite().all()) for v in weights.values()):
+        description = _description(text, {name: value.astype(float) for name, value in prior.items()})
+    wanted = description.network.weight_shapes()
+    wrong = [k for k in sorted(weights | wanted) if k not in weights or weights[k].shape != wanted.get(k)]
+    wrong += [k for k, v in weights.items() if v.dtype not in (np.float32, np.int64)]
+    if wrong:
+        raise FileFormatError(path, f"the weights do not fit the network described: {', '.join(wrong)[:200]}")
+    if not all(np.isfinite(v).all() for v in weights.values()):
         raise FileFormatError(path, "the weights are not finite: its training failed; train again")
-    return network.eval(), description
+    return weights, description
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of a lifter's file, of a version that can be read."""
     if not path.is_file():
         raise FileFormatError(path, "no such file; give the path of a trained lifter")
     try:
-        with zipfile.ZipFile(path) as archive:
-            check_sizes(path, archive.infolist(), _LARGEST_BYTES)
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileFormatError:
+        earlier = any(name.endswith("data.pkl") for name in npz_names(path))
+        content = _written_by_torch(path) if earlier else read_npz_as_saved(path, _LARGEST_BYTES, "fiU")
+    except MissingPackageError:
         raise
     except Exception as error:  # torch raises many types on damaged archives
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        first = str(error).removeprefix(f"{path}: ").partition("\n")[0] or type(error).__name__
         raise FileFormatError(
             path, f"not a readable lifter ({first[:120]}); copy the file again or train a new one"
         ) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise FileFormatError(path, "a torch file, but not a lifter of this package")
-    if content.get("version") not in READABLE:
+    if str(content.get("format")) != FORMAT:
+        raise FileFormatError(path, "not a lifter of this package")
+    if (version := str(content.get("version"))) not in map(str, READABLE):
         raise FileFormatError(
             path,
-            f"lifter format {content.get('version')}; this version of the package reads format "
-            f"{' or '.join(map(str, READABLE))}: install the version that wrote it, or train again",
+            f"lifter format {version}; this version of the package reads the formats "
+            f"{', '.join(map(str, READABLE))}: install the version that wrote it, or train again",
         )
     return content
+
+
+def _written_by_torch(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of a file of version 2 or 3, which `torch.save` wrote; ``weights_only`` runs no code in it."""
+    torch = optional("torch", "train", f"{path}: a lifter in the format of earlier versions")
+    with zipfile.ZipFile(path) as archive:
+        check_sizes(path, archive.infolist(), _LARGEST_BYTES)
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    groups = [{f"{name}/{k}": v for k, v in content.pop(name, {}).items()} for name in ("weights", "prior")]
+    return {k: np.asarray(v) for k, v in (content | groups[0] | groups[1]).items()}
 
 
 def _description(text: str, prior: dict[str, Array]) -> LifterDescription:
@@ -160,10 +161,10 @@ def _description(text: str, prior: dict[str, Array]) -> LifterDescription:
     return description
 
 
-def _digest(text: str, weights: dict[str, Tensor], prior: dict[str, Tensor]) -> str:
+def _digest(text: str, weights: Mapping[str, NDArray[Any]], prior: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256, with torch's names of the types, so that it is the same in all versions of the format."""
     digest = hashlib.sha256(text.encode())
     for name, value in (*sorted(weights.items()), *sorted(prior.items())):
-        tensor = value.detach().contiguous()
-        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+        digest.update(f"{name} torch.{value.dtype} {value.shape}".encode())
+        digest.update(value.tobytes())
     return digest.hexdigest()

@@ -8,17 +8,16 @@ last). Features of a whole window are a shift of the first layer.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
+from typing import Final
 
-import torch
-from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_linear_bn_eval
+import numpy as np
 
+from lifting.arrays import Tensor, like, namespace
 from lifting.body import Body
-from lifting.windows import EncodedWindows, mirror_features, mirror_output
+from lifting.windows import mirror_features, mirror_output
 
 
 @dataclass(frozen=True)
@@ -34,179 +33,122 @@ class NetworkConfig:
     dropout: float = 0.0  #: Share of hidden values dropped in training
     causal: bool = False  #: Whether the last frame of a window is estimated, not the middle one
 
-
-class TemporalNetwork(nn.Module):
-    """Residual temporal convolutions over windows: (B, receptive_field, inputs) -> (B, outputs)."""
-
-    def __init__(self, config: NetworkConfig):
-        super().__init__()
-        self.config = config
-        widths, channels = config.filter_widths, config.channels
-        self.expand = Layer(widths[0] * config.inputs, channels, config.dropout)
-        self.constant = nn.Linear(config.constants, channels, bias=False) if config.constants else None
-        self.temporal = nn.ModuleList(Layer(width * channels, channels, config.dropout) for width in widths[1:])
-        self.pointwise = nn.ModuleList(Layer(channels, channels, config.dropout) for _ in widths[1:])
-        self.shrink = nn.Linear(channels, config.outputs)
-
     def receptive_field(self) -> int:
         """Return the number of frames of a window."""
-        return prod(self.config.filter_widths)
+        return prod(self.filter_widths)
 
     def estimated(self) -> int:
         """Return the index of the estimated frame in a window."""
-        return self.receptive_field() - 1 if self.config.causal else self.receptive_field() // 2
+        return self.receptive_field() - 1 if self.causal else self.receptive_field() // 2
 
-    def forward(self, features: Tensor, constants: Tensor) -> Tensor:
-        """Return the output (B, outputs) of features (B, receptive_field, inputs) and constants (B, constants)."""
-        if features.shape[1] != self.receptive_field():
-            raise ValueError(f"windows of {features.shape[1]} frames; this network sees {self.receptive_field()}")
-        first, *widths = self.config.filter_widths
-        shift = self.constant(constants) if self.constant is not None else None
-        x = self.expand(_fold(features, first), shift)
-        for temporal, pointwise, width in zip(self.temporal, self.pointwise, widths, strict=True):
-            kept = x[:, (width - 1 if self.config.causal else width // 2) :: width]
-            x = kept + pointwise(temporal(_fold(x, width)))
-        out: Tensor = self.shrink(x)
-        return out[:, 0]
+    def weight_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of weights and running statistics by their names, those of `training.network`."""
+        n, further = self.channels, list(enumerate(self.filter_widths[1:]))
+        layers = {"expand": self.filter_widths[0] * self.inputs}
+        layers |= {f"temporal.{i}": width * n for i, width in further} | {f"pointwise.{i}": n for i, _ in further}
+        shapes: dict[str, tuple[int, ...]] = {f"{name}.linear.weight": (n, size) for name, size in layers.items()}
+        shapes |= {f"{layer}.norm.{part}": (n,) for layer in layers for part in _NORM}
+        shapes |= {f"{layer}.norm.num_batches_tracked": () for layer in layers}
+        last = {"shrink.weight": (self.outputs, n), "shrink.bias": (self.outputs,)}
+        return shapes | last | {"constant.weight": (n, self.constants)}
 
 
-class Layer(nn.Module):
-    """Linear map, batch normalisation, rectifier and dropout of (B, T, n_in) -> (B, T, n_out)."""
-
-    def __init__(self, n_in: int, n_out: int, dropout: float):
-        super().__init__()
-        self.linear = nn.Linear(n_in, n_out, bias=False)
-        self.norm = nn.BatchNorm1d(n_out)
-        self.dropout = nn.Dropout(dropout)
-
-    def forward(self, x: Tensor, shift: Tensor | None = None) -> Tensor:
-        """Return (B, T, n_out); a shift (B, n_out) is added before normalisation."""
-        y = self.linear(x)
-        if shift is not None:
-            y = y + shift[:, None]
-        out: Tensor = self.dropout(torch.relu(self.norm(y.flatten(0, 1))))
-        return out.reshape(*x.shape[:2], -1)
-
-
-def _fold(x: Tensor, width: int) -> Tensor:
-    """Concatenate each `width` frames: (B, T, C) -> (B, T / width, width * C)."""
-    return x.reshape(x.shape[0], x.shape[1] // width, width * x.shape[2])
-
-
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Limit torch to `count` threads inside; a second one costs more than it gains on small windows."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-_Map = tuple[Tensor, Tensor]
-"""Bias (outputs,) and weight (inputs, outputs) for `torch.addmm`; this layout is faster for few rows."""
-
-
-@torch.no_grad()
-def answer(body: Body, network: TemporalNetwork, encoded: EncodedWindows, flip: bool) -> Tensor:
-    """Return the output (B, outputs) of a network; `flip` averages it with that of the mirrored windows."""
-    output: Tensor = network(encoded.features, encoded.constants)
-    if flip:
-        mirrored = network(mirror_features(body, encoded.features), encoded.constants)
-        output = (output + mirror_output(body, mirrored)) / 2
-    return output
+_NORM: Final = ("running_mean", "running_var", "weight", "bias")
+_EPSILON: Final = 1e-5  #: That of `torch.nn.BatchNorm1d`
 
 
 class FoldedNetwork:
-    """Fused copy of a trained network, without gradients: what `answer` computes, up to rounding in half the time.
+    """A trained network, fused: what `training.network.TemporalNetwork` computes, in half the time.
 
     Batch normalisation is fused into the linear maps. The mirrored scene costs one extra half: mirroring is a
     permutation with signs, so each feature and its counterpart have an even part (their sum) and an odd part (their
     difference). The first map of the scene is that of the even part plus that of the odd part, the map of the mirrored
-    scene is their difference. The last map includes mirroring back and averaging. It is not an `nn.Module`: for a
-    single window, module calls take as long as the arithmetic.
+    scene is their difference. The last map includes mirroring back and averaging.
     """
 
-    def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
-        assert network.constant is not None
-        config, expand, shrink = network.config, network.expand, network.shrink
+    def __init__(self, body: Body, config: NetworkConfig, weights: Mapping[str, Tensor], flip: bool = True):
+        """Fuse weights of these `NetworkConfig.weight_shapes`; `flip` averages with the mirrored windows."""
         self._width, *widths = config.filter_widths
-        self._constant = _map(fuse_linear_bn_eval(network.constant, expand.norm))
-        self._parity = _Parity(body, self._width, config.inputs) if flip else None
-        first = fuse_linear_bn_eval(expand.linear, expand.norm).weight.detach()
-        firsts = self._parity.split_weight(first) if self._parity else (first,)
-        self._firsts = [_transposed(part) for part in firsts]
-        temporal, pointwise = map(_maps, (network.temporal, network.pointwise))
+        gain, self._bias = _norm(weights, "expand")
+        self._constant = weights["constant.weight"].T * gain
+        self._parity = _Parity(body, self._width, config.inputs, gain) if flip else None
+        first = weights["expand.linear.weight"] * gain[:, None]
+        self._firsts = [part.T for part in (self._parity.split_weight(first) if self._parity else [first])]
         kept = [width - 1 if config.causal else width // 2 for width in widths]
-        self._blocks = list(zip(temporal, pointwise, widths, kept, strict=True))
-        out = torch.cat([shrink.weight, shrink.bias[:, None]], dim=1).detach()
+        maps = [[_fused(weights, f"{kind}.{i}") for i in range(len(widths))] for kind in ("temporal", "pointwise")]
+        self._blocks = list(zip(*maps, widths, kept, strict=True))
+        out, bias = weights["shrink.weight"].T, weights["shrink.bias"]
         if flip:
-            mirrored = mirror_output(body, out.T).T
-            out = torch.cat([out[:, :-1], mirrored[:, :-1], out[:, -1:] + mirrored[:, -1:]], dim=1) / 2
-        self._shrink = out[:, -1].clone(), _transposed(out[:, :-1])
+            out = namespace(out).concat([out, mirror_output(body, out)], axis=0) / 2
+            bias = (bias + mirror_output(body, bias[None])[0]) / 2
+        self._shrink = bias, out
 
     def __call__(self, features: Tensor, constants: Tensor) -> Tensor:
         """Return the output (B, outputs) of features (B, receptive_field, inputs) and constants (B, constants)."""
-        x = self._first(features, torch.addmm(self._constant[0], constants, self._constant[1])[:, None])
+        x = self._first(features, (constants @ self._constant + self._bias)[:, None])
         for temporal, pointwise, width, which in self._blocks:
             kept = x[:, which::width]
-            hidden = torch.addmm(temporal[0], x.reshape(-1, width * x.shape[2]), temporal[1]).relu_()
-            x = torch.addmm(pointwise[0], hidden, pointwise[1]).relu_().reshape(kept.shape).add_(kept)
-        x = x[:, 0]
-        if self._parity:
-            x = torch.cat(x.chunk(2), dim=1)
-        return torch.addmm(self._shrink[0], x, self._shrink[1])
+            hidden = _rectified(x.reshape(-1, width * x.shape[2]) @ temporal[1] + temporal[0])
+            x = _rectified(hidden @ pointwise[1] + pointwise[0]).reshape(kept.shape)
+            x += kept
+        parts = x.reshape(2 if self._parity else 1, -1, x.shape[2])  # the mirrored windows are the second half
+        return namespace(x).concat([*parts], axis=1) @ self._shrink[1] + self._shrink[0]
 
     def _first(self, features: Tensor, shift: Tensor) -> Tensor:
         """First layer (B, T, channels), or (2 B, T, channels) with the mirrored windows last."""
         B, frames, inputs = features.shape
         x = features.reshape(-1, self._width * inputs)
-        parts = self._parity.split(x) if self._parity else (x,)
+        parts = self._parity.split(x) if self._parity else [x]
         first, *odd = (
             (part @ weight).reshape(B, frames // self._width, -1)
             for part, weight in zip(parts, self._firsts, strict=True)
         )
-        first.add_(shift)
-        return (torch.cat([first + odd[0], first - odd[0]]) if odd else first).relu_()
+        first += shift
+        return _rectified(namespace(x).concat([first + odd[0], first - odd[0]]) if odd else first)
 
 
-def _map(linear: nn.Linear) -> _Map:
-    return linear.bias.detach(), _transposed(linear.weight)
+def _norm(weights: Mapping[str, Tensor], layer: str) -> tuple[Tensor, Tensor]:
+    """Gain and bias (outputs,) of a layer's batch normalisation."""
+    mean, variance, scale, bias = (weights[f"{layer}.norm.{part}"] for part in _NORM)
+    gain = scale / namespace(scale).sqrt(variance + _EPSILON)
+    return gain, bias - mean * gain
 
 
-def _maps(layers: nn.ModuleList) -> list[_Map]:
-    return [_map(fuse_linear_bn_eval(each.linear, each.norm)) for each in layers if isinstance(each, Layer)]
+def _fused(weights: Mapping[str, Tensor], layer: str) -> tuple[Tensor, Tensor]:
+    """Bias (outputs,) and weight (inputs, outputs) of a layer with its batch normalisation."""
+    gain, bias = _norm(weights, layer)
+    return bias, weights[f"{layer}.linear.weight"].T * gain
 
 
-def _transposed(weight: Tensor) -> Tensor:
-    return weight.detach().t().clone(memory_format=torch.contiguous_format)
+def _rectified(x: Tensor) -> Tensor:
+    """Positive part, in place where it can be."""
+    return np.maximum(x, 0, out=x) if isinstance(x, np.ndarray) else x.relu_()
 
 
 class _Parity:
     """Split of the features of a few frames into even and odd part under mirroring."""
 
-    def __init__(self, body: Body, frames: int, inputs: int):
+    def __init__(self, body: Body, frames: int, inputs: int, weights: Tensor):
         n = frames * inputs
         # Row i of the mirrored identity has the sign at the counterpart of i.
-        matrix = mirror_features(body, torch.eye(n).reshape(n, frames, inputs)).flatten(1)
-        other, sign, index = matrix.abs().argmax(dim=0), matrix.sum(dim=0), torch.arange(n)
+        matrix = mirror_features(body, np.eye(n).reshape(n, frames, inputs)).reshape(n, n)
+        other, sign, index = abs(matrix).argmax(axis=0), matrix.sum(axis=0), np.arange(n)
         first = index[other > index]
         even, odd = (index[(other == index) & (sign == s)] for s in (1.0, -1.0))
-        self._sizes = [len(first), len(even), len(first), len(odd)]
-        self._order = torch.cat([first, even, other[first], odd])
-        self._signs = sign[first]
+        self._stops = np.cumsum([len(first), len(even), len(first)]).tolist()
+        self._order = namespace(weights).asarray(np.concatenate([first, even, other[first], odd]))
+        self._signs = like(weights, sign[first])
 
-    def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
+    def split(self, x: Tensor) -> list[Tensor]:
         """Even and odd part (n, even), (n, odd) of features (n, frames * inputs)."""
-        one, even, other, odd = torch.split(x.index_select(1, self._order), self._sizes, dim=1)
+        xp, x, (a, b, c) = namespace(x), x[:, self._order], self._stops
+        one, even, other, odd = x[:, :a], x[:, a:b], x[:, b:c], x[:, c:]
         other = other * self._signs
-        return torch.cat([one + other, even], dim=1), torch.cat([one - other, odd], dim=1)
+        return [xp.concat([one + other, even], axis=1), xp.concat([one - other, odd], axis=1)]
 
-    def split_weight(self, weight: Tensor) -> tuple[Tensor, Tensor]:
+    def split_weight(self, weight: Tensor) -> list[Tensor]:
         """Weights (m, even), (m, odd) of both parts from a weight (m, frames * inputs)."""
-        even, odd = self.split(weight)
-        n = self._sizes[0]
-        even[:, :n] /= 2
-        odd[:, :n] /= 2
-        return even, odd
+        parts = self.split(weight)
+        for part in parts:
+            part[:, : self._stops[0]] /= 2
+        return parts

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from lifting.body import Body, bone_groups
-from lifting.model import FoldedNetwork, TemporalNetwork
+from lifting.model import FoldedNetwork, NetworkConfig
 from lifting.predict import MIN_JOINTS, Lifter
 from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
 from rtof_kin.core.files.folder import new_file
@@ -31,11 +33,12 @@ OPSET: Final = 17
 class LifterGraph(nn.Module):
     """Encoding, network and decoding as a function of arrays."""
 
-    def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
-        """Take a network in evaluation mode; `flip` averages with the mirrored scene."""
+    def __init__(self, body: Body, config: NetworkConfig, weights: Mapping[str, NDArray[Any]], flip: bool = True):
+        """Take a network; `flip` averages with the mirrored scene."""
         super().__init__()
-        self.body, self.network = body, FoldedNetwork(body, network, flip)
-        self.estimated = network.estimated()
+        tensors = {name: torch.tensor(value) for name, value in weights.items()}
+        self.body, self.network = body, FoldedNetwork(body, config, tensors, flip)
+        self.estimated = config.estimated()
         self.eval()
 
     def forward(
@@ -100,7 +103,7 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")  # about this exporter; the newer one takes minutes
             torch.onnx.export(
-                LifterGraph(body, lifter.network, flip),
+                LifterGraph(body, lifter.description.network, lifter.weights, flip),
                 _example(body, lifter.receptive_field())[: len(inputs)],
                 str(whole),
                 input_names=list(inputs),

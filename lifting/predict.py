@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import ThreadpoolController
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
-from lifting.model import FoldedNetwork, TemporalNetwork, torch_threads
+from lifting.model import FoldedNetwork
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, decode, encode, orthonormal, rotations
 from rtof_kin.body.kinematics import shared_frames, to_shared
@@ -26,7 +29,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
 MIN_JOINTS = 6  #: Fewest different joints seen in a window that can be lifted
-CHUNK = 128  #: Windows lifted at once: fewer cost more calls, more leave the cache
+CHUNK = 32  #: Windows lifted at once: fewer cost more calls, more leave the cache
 
 
 @dataclass(frozen=True)
@@ -59,10 +62,10 @@ class Lifter:
     """A trained lifter, ready to predict. Equal calls give equal answers."""
 
     def __init__(
-        self, network: TemporalNetwork, description: LifterDescription, sha256: str = "", name: str = ""
+        self, weights: Mapping[str, NDArray[Any]], description: LifterDescription, sha256: str = "", name: str = ""
     ) -> None:
-        """Take a network in evaluation mode, not to be changed afterwards; `load` reads one from a file."""
-        self.network, self.description = network, description
+        """Take weights, not to be changed afterwards, see `NetworkConfig.weight_shapes`; `load` reads a file."""
+        self.weights, self.description = weights, description
         self.sha256, self.name = sha256, name
         self._folded: dict[bool, FoldedNetwork] = {}
 
@@ -75,8 +78,8 @@ class Lifter:
         """
         name = DEFAULT_LIFTER if path is None else Path(path).name  # without folders, for reports
         path = lifter_path(path)
-        network, description = load_checkpoint(path)
-        return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest(), name)
+        weights, description = load_checkpoint(path)
+        return cls(weights, description, hashlib.sha256(path.read_bytes()).hexdigest(), name)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,11 +93,11 @@ class Lifter:
 
     def receptive_field(self) -> int:
         """Return the number of frames at `description.rate_hz` that one estimate depends on."""
-        return self.network.receptive_field()
+        return self.description.network.receptive_field()
 
     def estimated(self) -> int:
         """Return the index of the estimated frame among these; the last one of a causal lifter."""
-        return self.network.estimated()
+        return self.description.network.estimated()
 
     def predict(
         self,
@@ -147,17 +150,16 @@ class Lifter:
             Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations (B, J, 3, 3) of the
             segments' shared frames; their sigma (B, J), rad; whether enough joints were seen (B,).
         """
-        body, network = self.description.body, self.network
-        with torch_threads(1), torch.inference_mode():
-            size, estimated = network.receptive_field(), network.estimated()
+        body, network = self.description.body, self.description.network
+        size, estimated = network.receptive_field(), network.estimated()
+        if flip not in self._folded:
+            self._folded[flip] = FoldedNetwork(body, network, self.weights, flip)
+        with _libraries().limit(limits=1), np.errstate(all="ignore"):  # NaN where something is not known
             windows = source.windows(times, size, estimated, self.description.rate_hz, bones, height)
             encoded = encode(body, windows)
-            if flip not in self._folded:
-                self._folded[flip] = FoldedNetwork(body, network, flip)
             output = self._folded[flip](encoded.features, encoded.constants)
             arrays = _arrays(decode(body, output, encoded))
-            enough = windows.seen.any(dim=1).sum(dim=1) >= MIN_JOINTS
-        return *arrays, enough.numpy()
+        return *arrays, windows.seen.any(axis=1).sum(axis=1) >= MIN_JOINTS
 
     def _check_seen(self, keypoints: KeypointSequence) -> None:
         known = [name for name in self.names if name in keypoints.names]
@@ -193,7 +195,7 @@ class Lifter:
                 "are not a human's; give metres, finite, root row zero"
             )
         shared = to_shared(self.shared_frames(offsets), body.parents, offsets)
-        return np.asarray(body.bones_of(torch.from_numpy(shared)).numpy())
+        return np.asarray(body.bones_of(shared))
 
     def shared_frames(self, joint_offsets: ArrayLike | None) -> Array:
         """Return R_bone_shared (J, 3, 3), from the frames in which the network knows a person's segments to
@@ -202,6 +204,12 @@ class Lifter:
         if joint_offsets is None:
             return np.tile(np.eye(3), (len(self.names), 1, 1))
         return shared_frames(self.names, np.asarray(joint_offsets, float))
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Libraries of linear algebra that are loaded; a second thread of theirs costs more than it gains on windows."""
+    return ThreadpoolController()
 
 
 def camera_height(camera: Camera, floor_height: float | None) -> float:
@@ -219,13 +227,12 @@ def camera_height(camera: Camera, floor_height: float | None) -> float:
 
 
 def _arrays(estimate: Estimate) -> tuple[Array, Array, Array, Array]:
-    p = (estimate.pose + estimate.root[:, :, None]).transpose(1, 2)
-    R, turn = torch.full((*p.shape, 3), torch.nan), torch.full(p.shape[:2], torch.nan)
+    p = (estimate.pose + estimate.root[:, :, None]).swapaxes(1, 2)
+    R, turn = np.full((*p.shape, 3), np.nan), np.full(p.shape[:2], np.nan)
     if estimate.axes is not None and estimate.log_turn is not None:
-        R = rotations(orthonormal(estimate.axes.double())).permute(0, 3, 1, 2)
-        turn = SIGMA_TURN * estimate.log_turn.exp()
-    p_np, sigma_np, R_np, turn_np = (x.double().numpy() for x in (p, estimate.sigma_m(), R, turn))
-    return p_np, sigma_np, R_np, turn_np
+        R = rotations(orthonormal(estimate.axes.astype(float))).transpose(0, 3, 1, 2)
+        turn = (SIGMA_TURN * np.exp(estimate.log_turn)).astype(float)
+    return p.astype(float), estimate.sigma_m().astype(float), R, turn
 
 
 def _bridge(times: Array, p: Array, enough: Mask) -> tuple[Array, Mask]:

@@ -1,6 +1,6 @@
 """Observations of a recording, looked up at any time: rays to landmarks, axes of segments with sensors.
 
-This is the boundary between the package's float64 arrays and float32 tensors.
+This is the boundary between the package's float64 arrays and the lifter's, of float32.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from lifting.body import Body
@@ -109,11 +108,9 @@ class Source:
         instants = _Instants(self.times, at, near=0.1 / rate_hz)
         B, W, S = *at.shape, self.sensed.shape[1]
         axes = instants.interpolated(self.axes.reshape(len(self.axes), 2 * S, 3)).reshape(B, 3, W, 2, S)
-        arrays = (instants.interpolated(self.rays), instants.known(self.seen), axes, instants.known(self.sensed))
-        rays, seen, turned, sensed = map(torch.from_numpy, arrays)
-        height_m = torch.full((B,), height)
-        bones_m = torch.from_numpy(bones).float().expand(B, -1)
-        return Windows(rays, seen, bones_m, height_m, turned, sensed, estimated)
+        rays, seen, sensed = instants.interpolated(self.rays), instants.known(self.seen), instants.known(self.sensed)
+        bones_m, height_m = np.tile(bones.astype(np.float32), (B, 1)), np.full(B, height, np.float32)
+        return Windows(rays, seen, bones_m, height_m, axes, sensed, estimated)
 
 
 class _Instants:

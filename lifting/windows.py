@@ -16,12 +16,10 @@ Arrays are (B, component, W, J): with one plane per component, turning is one la
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 from math import sqrt
 
-import torch
-from torch import Tensor
-from torch.nn.functional import pad
-
+from lifting.arrays import Tensor, like, namespace
 from lifting.body import Body, bone_groups
 
 MIN_FORWARD = 0.1  #: Cosine to the view axis below which a ray counts as unseen
@@ -77,9 +75,9 @@ class Estimate:
 
     def sigma_m(self) -> Tensor:
         """Return (B, J, 2) standard deviations per axis across and along the ray, m."""
-        sigma = self.log_spread.exp().transpose(1, 2)
-        sigma = sigma * sigma.new_tensor([SIGMA_ACROSS, SIGMA_ALONG])
-        return torch.cat([sigma[:, :1] * _length(self.root)[..., None], sigma[:, 1:]], dim=1)
+        xp, root = namespace(self.root), self.root
+        sigma = xp.exp(self.log_spread).swapaxes(1, 2) * like(root, [SIGMA_ACROSS, SIGMA_ALONG])
+        return xp.concat([sigma[:, :1] * _length(root)[..., None], sigma[:, 1:]], axis=1)
 
 
 def sizes(body: Body) -> tuple[int, int, int]:
@@ -91,32 +89,26 @@ def sizes(body: Body) -> tuple[int, int, int]:
 
 def encode(body: Body, windows: Windows) -> EncodedWindows:
     """Return the network input of windows."""
-    rays = windows.rays_world
-    centre = _centre_ray(body, rays, windows.seen, windows.estimated)
-    R_view, R_ray, elevation = _frames(centre)
-    view = torch.bmm(R_view, rays.flatten(2)).reshape(rays.shape)
+    rays, seen, height = windows.rays_world, windows.seen, windows.camera_height
+    xp = namespace(rays)
+    R_view, R_ray, elevation = _frames(_centre_ray(body, rays, seen, windows.estimated))
+    view = _turned(R_view, rays)
     forward = view[:, 2]
-    weight = (windows.seen & (forward > MIN_FORWARD)).to(view.dtype)
-    image = view[:, :2] * (weight / forward.clamp_min(MIN_FORWARD))[:, None]
+    weight = like(rays, seen & (forward > MIN_FORWARD))
+    image = view[:, :2] * (weight / forward.clip(MIN_FORWARD))[:, None]
     scale = _scale(image, weight)
-    image = (image / scale[:, None, None, None]).clamp(-MAX_IMAGE, MAX_IMAGE)
-    height = windows.camera_height
-    feet = _standing(
-        torch.stack([rays[..., j] for j in body.feet], dim=3),
-        torch.stack([windows.seen[..., j] for j in body.feet], dim=2),
-        height,
-        scale,
-    )
+    image = (image / scale[:, None, None, None]).clip(-MAX_IMAGE, MAX_IMAGE)
     constants = [
         elevation,
-        scale.log()[:, None],
-        _optional((height * scale).clamp_min(MIN_HEIGHT_IN_IMAGE).log()[:, None]),
-        _optional((windows.bones - windows.bones.new_tensor(body.nominal_bones)) * BONE_GAIN),
+        xp.log(scale)[:, None],
+        _optional(xp.log((height * scale).clip(MIN_HEIGHT_IN_IMAGE))[:, None]),
+        _optional((windows.bones - like(rays, body.nominal_bones)) * BONE_GAIN),
     ]
+    feet = _standing(rays[..., body.feet], seen[..., body.feet], height, scale)
     parts = [image[:, 0], image[:, 1], weight, feet]
     if body.sensors:
         parts += _sensed_axes(windows, R_ray)
-    return EncodedWindows(torch.cat(parts, dim=2), torch.cat(constants, dim=1), R_view, R_ray, scale)
+    return EncodedWindows(xp.concat(parts, axis=2), xp.concat(constants, axis=1), R_view, R_ray, scale)
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
@@ -128,70 +120,82 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
             a body with sensors, x and z axes of all segments (2, 3, J) in the ray frame, not yet orthonormal, and the
             logarithm of their spread (J).
     """
-    output = output.to(encoded.scale.dtype)  # bfloat16 in training
-    B, J = output.shape[0], len(body.names)
+    xp, J = namespace(output), len(body.names)
     pose_ray, root, spread, *turns = _parts(body, output)
-    R_world_ray = encoded.R_ray_world.transpose(1, 2)
-    pose = pad(torch.bmm(R_world_ray, pose_ray.reshape(B, 3, J - 1)), (1, 0))
-    direction = _unit(pad(root[:, :2] * encoded.scale[:, None], (0, 1), value=1.0))
-    distance = root[:, 2].clamp(*LOG_DISTANCE).exp() / encoded.scale
+    R_world_ray = encoded.R_ray_world.swapaxes(1, 2)
+    pose = R_world_ray @ pose_ray.reshape(-1, 3, J - 1)
+    pose = xp.concat([xp.zeros_like(pose[..., :1]), pose], axis=2)
+    direction = _unit(xp.concat([root[:, :2] * encoded.scale[:, None], xp.ones_like(root[:, :1])], axis=1))
+    distance = xp.exp(root[:, 2].clip(*LOG_DISTANCE)) / encoded.scale
     root_view = direction * distance[:, None]
-    root_world = torch.bmm(encoded.R_view_world.transpose(1, 2), root_view[..., None])[..., 0]
-    log_spread = spread.reshape(B, 2, J).clamp(*LOG_SPREAD)
+    root_world = (encoded.R_view_world.swapaxes(1, 2) @ root_view[..., None])[..., 0]
+    log_spread = spread.reshape(-1, 2, J).clip(*LOG_SPREAD)
     if not turns:
         return Estimate(pose, root_world, log_spread, None, None)
-    axes = orthonormal(turns[0].reshape(B, 2, 3, J).transpose(1, 2))
-    axes = torch.bmm(R_world_ray, axes.flatten(2)).reshape(B, 3, 2, J)
-    return Estimate(pose, root_world, log_spread, axes, turns[1].clamp(*LOG_SPREAD))
+    axes = orthonormal(turns[0].reshape(-1, 2, 3, J).swapaxes(1, 2))
+    return Estimate(pose, root_world, log_spread, _turned(R_world_ray, axes), turns[1].clip(*LOG_SPREAD))
 
 
 def orthonormal(axes: Tensor) -> Tensor:
     """Return orthonormal x and z axes (B, 3, 2, J) with the given direction of z."""
-    x, z = axes.unbind(dim=2)
-    z = _unit(z)
-    x = _unit(x - (x * z).sum(dim=1, keepdim=True) * z)
-    return torch.stack([x, z], dim=2)
+    x, z = axes[:, :, 0], _unit(axes[:, :, 1])
+    x = _unit(x - (x * z).sum(axis=1, keepdims=True) * z)
+    return namespace(axes).stack([x, z], axis=2)
 
 
 def rotations(axes: Tensor) -> Tensor:
     """Return rotation matrices (..., 3, 3, n) with x and z axes (..., 3, 2, n)."""
-    x, z = axes.unbind(dim=-2)
-    return torch.stack([x, torch.linalg.cross(z, x, dim=-2), z], dim=-2)
+    xp, x, z = namespace(axes), axes[..., 0, :], axes[..., 1, :]
+    return xp.stack([x, xp.linalg.cross(z, x, axis=-2), z], axis=-2)
 
 
 def mirror_features(body: Body, features: Tensor) -> Tensor:
     """Mirror features (B, W, inputs): swap left and right, negate x."""
     J, F, S = len(body.names), len(body.feet), len(body.sensors)
-    x, y, seen, away, stands, axes, sensed = torch.split(features, [J, J, J, F, F, 6 * S, S], dim=-1)
+    x, y, seen, away, stands, axes, sensed = _split(features, [J, J, J, F, F, 6 * S, S])
     order, other = body.mirrored, body.mirrored_sensors
     feet = [body.feet.index(order[j]) for j in body.feet]
-    axes = axes.reshape(*axes.shape[:-1], 3, 2, S)[..., other] * _across(axes)
+    turned = axes.reshape(*axes.shape[:-1], 3, 2, S)[..., other] * _across(axes)
     parts = [-x[..., order], y[..., order], seen[..., order], away[..., feet], stands[..., feet]]
-    return torch.cat([*parts, axes.flatten(-3), sensed[..., other]], dim=-1)
+    return namespace(x).concat([*parts, turned.reshape(axes.shape), sensed[..., other]], axis=-1)
 
 
 def mirror_output(body: Body, output: Tensor) -> Tensor:
     """Mirror an output (B, outputs): swap left and right, negate the lateral component."""
     J, order = len(body.names), body.mirrored
     pose, root, spread, *turns = _parts(body, output)
-    pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * _across(pose)[..., 0]
-    parts = [pose.flatten(1), root * root.new_tensor([-1.0, 1.0, 1.0]), spread.reshape(-1, 2, J)[..., order].flatten(1)]
+    across = _across(pose)[..., 0]
+    parts = [
+        (pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * across).reshape(pose.shape),
+        root * like(root, [-1.0, 1.0, 1.0]),
+        spread.reshape(-1, 2, J)[..., order].reshape(spread.shape),
+    ]
     if turns:
-        axes = turns[0].reshape(-1, 2, 3, J)[..., order] * _across(pose)[..., 0]
-        parts += [axes.flatten(1), turns[1][:, order]]
-    return torch.cat(parts, dim=1)
+        axes = turns[0].reshape(-1, 2, 3, J)[..., order] * across
+        parts += [axes.reshape(turns[0].shape), turns[1][:, order]]
+    return namespace(output).concat(parts, axis=1)
 
 
-def _parts(body: Body, output: Tensor) -> tuple[Tensor, ...]:
+def _parts(body: Body, output: Tensor) -> list[Tensor]:
     """Split an output (B, outputs) in the order of `decode`."""
     J = len(body.names)
-    sizes = [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else [])
-    return torch.split(output, sizes, dim=1)
+    return _split(output, [3 * (J - 1), 3, 2 * J] + ([6 * J, J] if body.sensors else []))
+
+
+def _split(x: Tensor, sizes: list[int]) -> list[Tensor]:
+    """Parts of these sizes of the last axis."""
+    stops = list(accumulate(sizes))
+    return [x[..., stop - size : stop] for size, stop in zip(sizes, stops, strict=True)]
+
+
+def _turned(R: Tensor, v: Tensor) -> Tensor:
+    """Vectors (B, 3, ...) turned by rotations (B, 3, 3)."""
+    return (R @ v.reshape(*v.shape[:2], -1)).reshape(v.shape)
 
 
 def _length(v: Tensor) -> Tensor:
     """Lengths (B, 1, ...) of vectors (B, 2 or 3, ...), at least 1e-12; faster than `Tensor.norm` here."""
-    return (v * v).sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()
+    return namespace(v).sqrt((v * v).sum(axis=1, keepdims=True).clip(1e-24))
 
 
 def _unit(v: Tensor) -> Tensor:
@@ -199,70 +203,70 @@ def _unit(v: Tensor) -> Tensor:
     return v / _length(v)
 
 
-def _across(like: Tensor) -> Tensor:
+def _across(x: Tensor) -> Tensor:
     """(3, 1, 1) signs of a mirrored vector's components: y, to the left, is negated."""
-    return like.new_tensor([1.0, -1.0, 1.0])[:, None, None]
+    return like(x, [1.0, -1.0, 1.0])[:, None, None]
 
 
 def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
     """Three components (B, W, 2 S) of axes in the ray frame, zero if not sensed, and the mask (B, W, S)."""
-    axes, weight = windows.axes_world, windows.sensed.to(R_ray_world.dtype)
-    turned = torch.bmm(R_ray_world, axes.flatten(2)).reshape(*axes.shape[:3], -1)
-    turned = turned * torch.cat([weight, weight], dim=2)[:, None]  # many times faster than `where`
-    return [*turned.unbind(dim=1), weight]
+    weight = like(R_ray_world, windows.sensed)
+    turned = _turned(R_ray_world, windows.axes_world) * weight[:, None, :, None]  # many times faster than `where`
+    parts = turned.reshape(*turned.shape[:3], -1)
+    return [parts[:, 0], parts[:, 1], parts[:, 2], weight]
 
 
 def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tensor:
     """Direction (B, 3) to the centre of a window, in the nearest frame to the estimated one with anything seen:
     the root, else the mean of the hips, else the mean of all landmarks seen; x if nothing is seen.
     """
-    B, W, J = seen.shape
-    away = (torch.arange(W, device=seen.device) - estimated).abs()
-    frame = (away + W * ~seen.any(dim=2)).argmin(dim=1)
-    rows = torch.arange(B, device=seen.device)
+    xp, (B, W, J) = namespace(rays), seen.shape
+    away = abs(xp.arange(W, device=seen.device) - estimated)
+    frame = (away + W * ~seen.any(axis=2)).argmin(axis=1)
+    rows = xp.arange(B, device=seen.device)
     now, ray = seen[rows, frame], rays[rows, :, frame]
-    first = [3 if j == 0 else 2 if j in body.hips else 1 for j in range(J)]
-    rank = now * torch.tensor(first, device=seen.device)
-    chosen = now & (rank == rank.amax(dim=1, keepdim=True))
-    ahead = rays.new_tensor([1e-12, 0.0, 0.0])  # negligible where anything is seen
-    return _unit(torch.where(chosen[:, None], ray, 0.0)).sum(dim=2) + ahead
+    rank = like(rays, now) * like(rays, [3.0 if j == 0 else 2.0 if j in body.hips else 1.0 for j in range(J)])
+    chosen = now & (rank == xp.amax(rank, axis=1, keepdims=True))
+    ahead = like(rays, [1e-12, 0.0, 0.0])  # negligible where anything is seen
+    return _unit(xp.where(chosen[:, None], ray, 0.0)).sum(axis=2) + ahead
 
 
 def _frames(centre: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """R_view_world and R_ray_world (B, 3, 3) of windows centred on (B, 3), and the elevation (B, 1), rad."""
-    across, up = _length(centre[:, :2]), centre[:, 2:]
-    elevation = torch.atan2(up, across)
-    level = pad(centre[:, :2] / across, (0, 1))
-    x, y, zero = level.unbind(dim=1)
-    left = torch.stack([-y, x, zero], dim=1)
-    vertical = centre.new_tensor([0.0, 0.0, 1.0])
-    cos_e, sin_e = elevation.cos(), elevation.sin()
+    xp, across = namespace(centre), _length(centre[:, :2])
+    elevation = xp.atan2(centre[:, 2:], across)
+    x, y = centre[:, :1] / across, centre[:, 1:2] / across
+    zero, one = xp.zeros_like(x), xp.ones_like(x)
+    level, left = xp.concat([x, y, zero], axis=1), xp.concat([-y, x, zero], axis=1)
+    vertical = xp.concat([zero, zero, one], axis=1)
+    cos_e, sin_e = xp.cos(elevation), xp.sin(elevation)
     view = [-left, sin_e * level - cos_e * vertical, cos_e * level + sin_e * vertical]
-    ray = [level, left, vertical.expand_as(level)]
-    return torch.stack(view, dim=1), torch.stack(ray, dim=1), elevation
+    return xp.stack(view, axis=1), xp.stack([level, left, vertical], axis=1), elevation
 
 
 def _scale(image: Tensor, weight: Tensor) -> Tensor:
     """RMS distance (B,) of the points seen (B, 2, W, J) from the mean of their frame."""
-    count = weight.sum(dim=2)
-    mean = image.sum(dim=3) / count.clamp_min(1.0)[:, None]
+    count = weight.sum(axis=2)
+    mean = image.sum(axis=3) / count.clip(1.0)[:, None]
     away = (image - mean[..., None]) * weight[:, None]
-    square = (away * away).sum(dim=(1, 2, 3)) / count.sum(dim=1).clamp_min(1.0)
-    return square.sqrt().clamp_min(MIN_SCALE)
+    square = (away * away).sum(axis=(1, 2, 3)) / count.sum(axis=1).clip(1.0)
+    return namespace(image).sqrt(square).clip(MIN_SCALE)
 
 
 def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) -> Tensor:
     """Log(horizontal distance x scale) of each foot if it is on the floor, and whether known, (B, W, 2 F);
     unknown if the height is, or if the ray (B, 3, W, F) is near the horizon.
     """
-    slope = -rays[:, 2] / _length(rays[:, :2])[:, 0].clamp_min(1e-6)
+    xp = namespace(rays)
+    slope = -rays[:, 2] / _length(rays[:, :2])[:, 0].clip(1e-6)
     height = (camera_height - ANKLE_HEIGHT)[:, None, None]
     known = seen & (slope > MIN_SLOPE) & (height > MIN_HEIGHT)
-    away = height * scale[:, None, None] / slope.clamp_min(MIN_SLOPE)
-    return torch.cat([torch.where(known, away.log(), 0.0), known.to(rays.dtype)], dim=2)
+    away = height * scale[:, None, None] / slope.clip(MIN_SLOPE)
+    return xp.concat([xp.where(known, xp.log(away), 0.0), like(rays, known)], axis=2)
 
 
 def _optional(values: Tensor) -> Tensor:
     """Values (B, n) and whether they are known (B, 1); zeros where any in a row is NaN."""
-    known = values.isfinite().all(dim=1, keepdim=True)
-    return torch.cat([torch.where(known, values, 0.0), known.to(values.dtype)], dim=1)
+    xp = namespace(values)
+    known = xp.isfinite(values).all(axis=1, keepdims=True)
+    return xp.concat([xp.where(known, values, 0.0), like(values, known)], axis=1)

@@ -76,7 +76,7 @@ def version_of(*options: object) -> str:
     package = Path(rtof_kin.__file__).parent
     sources = [*package.rglob("*.py"), *(HERE.parent / "lifting").rglob("*.py")]
     sources += [*Path(__file__).parent.glob("*.py"), HERE / "harness.py", HERE / "split.toml"]
-    sources += [model_path(name) for name in ("lifter.pt", "pose_prior.npz", "skeleton.toml")]
+    sources += [model_path(name) for name in ("lifter.npz", "pose_prior.npz", "skeleton.toml")]
     digest = hashlib.sha256(repr(options).encode())
     for path in sorted(sources):
         digest.update(path.read_bytes())

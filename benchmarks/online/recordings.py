@@ -101,7 +101,7 @@ def _version() -> str:
     package = Path(rtof_kin.__file__).parent
     sources = [path for path in package.rglob("*.py") if path.parts[-2] not in ("live", "cli", "report")]
     sources += [*(harness.HERE.parent / "lifting").rglob("*.py"), harness.HERE / "harness.py"]
-    sources += [harness.HERE / "split.toml", *model_path("lifter.pt").parent.glob("*.*")]
+    sources += [harness.HERE / "split.toml", *model_path("skeleton.toml").parent.glob("*.*")]
     digest = hashlib.sha256()
     for path in sorted(sources):
         digest.update(path.read_bytes())

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from lifting.body import Body
@@ -178,8 +177,7 @@ class Corpus:
         Sensors are those of the package's 21 joints; other skeletons have no orientations of their own.
         """
         offsets = self.joint_offsets[self.clips("train", required=False) or slice(None)]
-        mean = torch.from_numpy(offsets.mean(axis=0))
-        bones = tuple(float(x) for x in Body(self.names, self.parents, ()).bones_of(mean))
+        bones = tuple(map(float, Body(self.names, self.parents, ()).bones_of(offsets.mean(axis=0))))
         table = read_skeleton_table(model_path("skeleton.toml"))
         own = (table.names, table.parents) == (self.names, self.parents)
         sensors = tuple(sensor.joint for sensor in table.sensors) if own else ()

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from lifting.body import Body
-from lifting.model import TemporalNetwork, answer
+from lifting.model import FoldedNetwork
 from lifting.training.corpus import Corpus
 from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.training.noise import SENSED_TRUNK, VALIDATION_NOISE, SensorConfig
@@ -97,18 +97,15 @@ class Validation:
             generator = torch.Generator(device).manual_seed(SEED)
             self.batches[name] = bank.draw(count, window, config, generator, frames, causal)
 
-    def measure(self, network: TemporalNetwork, flip: bool = True) -> dict[str, dict[str, float]]:
+    def measure(self, network: FoldedNetwork) -> dict[str, dict[str, float]]:
         """Return errors by kind of 2D: mean per joint position error, root-relative (with the root's 0) and
         absolute, mm, and for a body with sensors the angles of pelvis and upper trunk, deg.
         """
-        return {
-            name: _errors(self.body, self._estimate(network, batch, flip), batch)
-            for name, batch in self.batches.items()
-        }
+        return {name: _errors(self.body, self._estimate(network, batch), batch) for name, batch in self.batches.items()}
 
-    def _estimate(self, network: TemporalNetwork, batch: Batch, flip: bool) -> Estimate:
+    def _estimate(self, network: FoldedNetwork, batch: Batch) -> Estimate:
         encoded = encode(self.body, batch.windows)
-        return decode(self.body, answer(self.body, network, encoded, flip), encoded)
+        return decode(self.body, network(encoded.features, encoded.constants), encoded)
 
 
 def _kinds(sensed: bool) -> dict[str, AugmentConfig]:

@@ -20,16 +20,18 @@ from torch.optim import AdamW
 
 from lifting import checkpoint
 from lifting.body import Body
-from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.model import FoldedNetwork, NetworkConfig
 from lifting.training import losses
 from lifting.training.corpus import Corpus
 from lifting.training.data import Batch, MotionBank
 from lifting.training.losses import Validation
+from lifting.training.network import TemporalNetwork
 from lifting.training.settings import TrainConfig, prior_of_corpus
 from lifting.windows import EncodedWindows, decode, encode, sizes
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.errors import FileFormatError, SolverError, reading
+from rtof_kin.core.errors import FileFormatError, SolverError, WritingError, reading
+from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.resources import lifter_path, model_path
 
 USUAL_RADIUS: Final = 0.4
@@ -108,7 +110,7 @@ class Run:
         self.averaged.load_state_dict(self.network.state_dict())
         others = corpus.skeletons("train", config.skeletons) + shipped_skeleton(corpus)
         self.bank = MotionBank(corpus, corpus.clips("train"), self.device, others)
-        self.size = self.network.receptive_field()
+        self.size = shape.receptive_field()
         self.validation = Validation(corpus, self.size, self.device, config.validation_windows, config.causal)
         self.batches = Prefetch(self._draw)
         self.started_from = ""
@@ -142,7 +144,7 @@ class Run:
             group["lr"] = config.learning_rate * self._rate_factor()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=config.bfloat16):
             output = self.network(encoded.features, encoded.constants)
-        estimate = decode(self.body, output, encoded)
+        estimate = decode(self.body, output.float(), encoded)
         self.optimizer.zero_grad(set_to_none=True)
         losses.lifting_loss(estimate, batch).backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
@@ -192,7 +194,8 @@ class Run:
             start = time.perf_counter()
             self.validated = int(self.share_done * config.validations)
             self.losses = []
-            report["validation"] = self.validation.measure(self.averaged)
+            averaged = FoldedNetwork(self.body, self.averaged.config, self.averaged.state_dict())
+            report["validation"] = self.validation.measure(averaged)
             self.history.append(report)
             spent = time.perf_counter() - start
             self.seconds += spent
@@ -218,13 +221,13 @@ class Run:
         description = checkpoint.LifterDescription(
             self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors, data, self.prior
         )
-        return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
+        return checkpoint.save_checkpoint(path, self.averaged.weights(), description, overwrite)
 
     def save(self, path: Path) -> None:
         """Write the state that `restore` reads."""
         state = {"config": self.config.fixed(), "corpus": self.digest, "losses": [float(x) for x in self.losses]}
         state |= {name: getattr(self, name).state_dict() for name in _TRAINED}
-        checkpoint.save_tensors(state | {name: getattr(self, name) for name in _COUNTED}, path, overwrite=True)
+        save_tensors(state | {name: getattr(self, name) for name in _COUNTED}, path)
 
     def start(self, lifter: str | Path) -> None:
         """Begin with the weights of another lifter, a file or a name, see `rtof_kin.core.resources.lifter_path`.
@@ -235,7 +238,7 @@ class Run:
             FileFormatError: it is not a lifter, or does not fit.
         """
         path = lifter_path(lifter)
-        network, description = checkpoint.load_checkpoint(path)
+        weights, description = checkpoint.load_checkpoint(path)
         other = description.network
         widths, known = self.network.config.filter_widths, len(other.filter_widths)
         mine = replace(self.network.config, causal=other.causal, dropout=other.dropout, filter_widths=widths[:known])
@@ -247,8 +250,9 @@ class Run:
                 "start from one that fits",
             )
         further = [f"pointwise.{layer}.norm.weight" for layer in range(known - 1, len(widths) - 1)]
+        first = {name: torch.tensor(value) for name, value in weights.items()}
         for own in (self.network, self.averaged):
-            own.load_state_dict(network.state_dict(), strict=len(widths) == known)
+            own.load_state_dict(first, strict=len(widths) == known)
             for name, weight in own.named_parameters():
                 if name in further:
                     nn.init.constant_(weight, FURTHER)
@@ -275,6 +279,15 @@ class Run:
             for name in _COUNTED:
                 setattr(self, name, state[name])
             self.losses = [torch.tensor(x, device=self.device) for x in state["losses"]]
+
+
+def save_tensors(content: dict[str, Any], path: Path) -> None:
+    """Write or replace a file by `torch.save`, atomically; `WritingError` where it cannot be written."""
+    with new_file(path, overwrite=True) as whole:
+        try:
+            torch.save(content, whole)
+        except RuntimeError as error:  # torch's error for a full disk
+            raise WritingError(f"{path}: cannot be written ({error}); name another file") from error
 
 
 def shipped_skeleton(corpus: Corpus) -> list[NDArray[np.float32]]:

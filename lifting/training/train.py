@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import torch
 
-from lifting.model import torch_threads
 from lifting.training.corpus import Corpus, read_corpus
 from lifting.training.run import Run
 from lifting.training.settings import TrainConfig
@@ -135,7 +134,7 @@ def train(
         check_new_file(file, overwrite)
     if not isinstance(corpus, Corpus):
         corpus = read_corpus(corpus)
-    with _own_randomness(config.deterministic), torch_threads(1):
+    with _own_settings(config.deterministic):
         run = Run(config, corpus)
         if start is not None:
             run.start(start)
@@ -157,16 +156,17 @@ def train(
 
 
 @contextmanager
-def _own_randomness(deterministic: bool) -> Iterator[None]:
-    """Restore torch's random state and choice of algorithms afterwards."""
+def _own_settings(deterministic: bool) -> Iterator[None]:
+    """Restore torch's random state, threads and choice of algorithms afterwards."""
     devices = list(range(torch.cuda.device_count())) if torch.cuda.is_available() else []
+    before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
     with torch.random.fork_rng(devices=devices):
-        if not deterministic or torch.are_deterministic_algorithms_enabled():
-            yield
-            return
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
-        torch.use_deterministic_algorithms(True)
         try:
+            torch.set_num_threads(1)  # a second one costs more than it gains on small windows
+            if deterministic:
+                os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+                torch.use_deterministic_algorithms(True)
             yield
         finally:
-            torch.use_deterministic_algorithms(False)
+            torch.use_deterministic_algorithms(before)
+            torch.set_num_threads(threads)

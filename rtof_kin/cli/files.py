@@ -14,6 +14,7 @@ from rtof_kin.cli.options import Output, Overwrite, command, written
 from rtof_kin.cli.terminal import line, out, print_files, say
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import check_new_file, new_file
+from rtof_kin.core.packages import optional
 
 
 @command
@@ -225,6 +226,7 @@ def export(
             write_result_archive(written, Path(motion), recording, overwrite)
             say(f"wrote {written}: recording, settings, versions and result, without names and video")
         elif to[0] == "onnx":
+            optional("torch", "onnx", "writing ONNX")
             from lifting.onnx_export import export_onnx
             from lifting.predict import Lifter
 

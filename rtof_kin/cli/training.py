@@ -28,7 +28,7 @@ def train(
     *,
     total_capture: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     human36m: Annotated[Path | None, Parameter(metavar="DIR")] = None,
-    output: Annotated[Path, written("model to write", "FILE")] = Path("model.pt"),
+    output: Annotated[Path, written("model to write", "FILE")] = Path("model.npz"),
     resume: bool = False,
     initial: Annotated[str | None, Parameter(metavar="MODEL")] = None,
     noise: Annotated[Literal["mixed", "perfect", "realistic", "independent"], Trained] = "mixed",

@@ -61,7 +61,7 @@ def return_free_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")  #: Dependencies that compute
+PACKAGES: Final = ("numpy", "scipy", "casadi", "pin")  #: Dependencies that compute
 SWITCHES: Final = (
     "OPENBLAS_CORETYPE",
     "NPY_DISABLE_CPU_FEATURES",

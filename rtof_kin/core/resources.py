@@ -9,7 +9,7 @@ from rtof_kin.core.errors import FileFormatError
 
 PACKAGED = Path(__file__).parents[1] / "models"  #: Models folder of an installed package
 CHECKOUT = Path(__file__).parents[2] / "models"  #: Models folder of a source checkout
-LIFTERS = {"detections": "lifter.pt", "live": "lifter_live.pt"}
+LIFTERS = {"detections": "lifter.npz", "live": "lifter_live.npz"}
 """Shipped lifters. detections: of recordings, sees 81 frames. live: sees 27 as the paper's, with less delay."""
 DEFAULT_LIFTER, LIVE_LIFTER = "detections", "live"
 

@@ -99,8 +99,6 @@ def run(
     Raises:
         InvalidInputError: no height. OutputExistsError: see `make_recording`. Errors of the steps.
     """
-    import lifting  # noqa: F401  # says before the work if torch is missing
-
     second = second or SecondCamera()
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(certificate=True), analysis or AnalysisSettings()

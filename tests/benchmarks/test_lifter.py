@@ -44,8 +44,8 @@ CLIP = MocapClip("waving", motion(), SKELETON.joint_offsets, "s1", "acting")
 @pytest.fixture(scope="module")
 def lifter(tmp_path_factory: pytest.TempPathFactory) -> str:
     made = support.untrained_lifter()
-    path = tmp_path_factory.mktemp("lifter") / "mine.pt"
-    return str(save_checkpoint(path, made.network, made.description))
+    path = tmp_path_factory.mktemp("lifter") / "mine.npz"
+    return str(save_checkpoint(path, made.weights, made.description))
 
 
 # --- placements ----------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import torch
 from full_disk import ROOM, full_disk
 from matplotlib.figure import Figure
 
-from lifting.checkpoint import save_tensors
+from lifting.training.run import save_tensors
 from lifting.training.train import write_curves
 from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -48,7 +48,7 @@ WRITERS: dict[str, Callable[[Path, Motion], object]] = {
         [document.Figure("skeletons", "", Figure)], path.parent
     ),
     "x.curves.json": lambda path, motion: write_curves(path.parent / "x", {"seed": "x" * ROOM}, []),
-    "lifter.pt": lambda path, motion: save_tensors({"weights": torch.rand(ROOM)}, path, overwrite=True),
+    "lifter.npz.state": lambda path, motion: save_tensors({"weights": torch.rand(ROOM)}, path),
 }
 
 

@@ -48,16 +48,16 @@ def test_every_extra_that_is_named_exists() -> None:
         for path in sorted((ROOT / folder).rglob("*.py"))
     ]
     called = {extra for extra in project["optional-dependencies"] if any(f'"{extra}"' in t for t in texts)}
-    assert called >= {"lift", "figures", "video", "view", "live", "cluster", "parquet", "onnx", "mediapipe"}
-    assert install("lift") == 'pip install "rtof-kin[lift]"'
+    assert called >= {"train", "figures", "video", "view", "live", "cluster", "parquet", "onnx", "mediapipe"}
+    assert install("train") == 'pip install "rtof-kin[train]"'
 
 
-def test_without_torch_the_lifter_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_torch_training_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "lifting"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingPackageError, match=r"the lifter.* needs torch.*\"rtof-kin\[lift\]\""):
-        import_module("lifting.predict")
+    with pytest.raises(MissingPackageError, match=r"training a lifter needs torch.*\"rtof-kin\[train\]\""):
+        import_module("lifting.training.train")
 
 
 def test_without_matplotlib_figures_are_left_out(

@@ -126,7 +126,7 @@ def measured(
 ) -> dict[str, dict[str, float]]:
     """Of answers that are wrong by so much: sideways in every joint, and about a bone's own y axis."""
 
-    def estimate(self: Validation, network: object, batch: Batch, flip: bool) -> Estimate:
+    def estimate(self: Validation, network: object, batch: Batch) -> Estimate:
         pose, root = batch.pose.clone(), batch.root.clone()
         pose[:, 2, 1:] += mm / 1000
         root[:, 2] += mm / 1000
@@ -137,7 +137,7 @@ def measured(
         return Estimate(pose, root, torch.zeros(B, 2, J), axes, torch.zeros(B, J))
 
     monkeypatch.setattr(Validation, "_estimate", estimate)
-    return validation.measure(support.untrained_lifter().network)
+    return validation.measure(support.tensor_network(support.untrained_lifter()))
 
 
 def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,7 +150,7 @@ def test_errors_are_millimetres_and_degrees(validation: Validation, monkeypatch:
 
 def test_without_validation_subjects_there_are_no_errors() -> None:
     empty = Validation(support.tiny_corpus(clips=2, frames=40), 27, CPU, count=8)
-    assert empty.measure(support.untrained_lifter().network) == {}
+    assert empty.measure(support.tensor_network(support.untrained_lifter())) == {}
 
 
 def test_errors_are_split_along_and_across_the_ray_to_the_root() -> None:

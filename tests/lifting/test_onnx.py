@@ -68,7 +68,7 @@ def random_windows(lifter: Lifter, seed: int, batch: int) -> dict[str, NDArray[A
 def test_onnx_and_torch_agree_on_random_windows(lifter: Lifter, file: Path, batch: int) -> None:
     given = random_windows(lifter, batch, batch)
     found = session(file).run(list(OUTPUTS), given)
-    graph = LifterGraph(lifter.description.body, lifter.network)
+    graph = LifterGraph(lifter.description.body, lifter.description.network, lifter.weights)
     with torch.inference_mode():
         wanted = graph(*(torch.from_numpy(value) for value in given.values()))
     for name, ours, theirs in zip(OUTPUTS, wanted, found, strict=True):
@@ -119,7 +119,7 @@ def test_a_lifter_without_sensors_and_without_mirror_has_fewer_inputs(tmp_path: 
     file = export_onnx(lifter, tmp_path / "17.onnx", flip=False)
     given = dict(list(random_windows(lifter, 0, 3).items())[:4])
     found = session(file).run(None, given)
-    graph = LifterGraph(lifter.description.body, lifter.network, flip=False)
+    graph = LifterGraph(lifter.description.body, lifter.description.network, lifter.weights, flip=False)
     with torch.inference_mode():
         wanted = graph(*(torch.from_numpy(value) for value in given.values()))
     for ours, theirs in zip(wanted, found, strict=True):
@@ -129,7 +129,7 @@ def test_a_lifter_without_sensors_and_without_mirror_has_fewer_inputs(tmp_path: 
 def test_the_command_writes_the_file_and_overwrites_only_if_asked(
     lifter: Lifter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    checkpoint = save_checkpoint(tmp_path / "lifter.pt", lifter.network, lifter.description)
+    checkpoint = save_checkpoint(tmp_path / "lifter.npz", lifter.weights, lifter.description)
     file = tmp_path / "lifter.onnx"
     command = ["export", str(checkpoint), "-o", str(file), "--to", "onnx"]
     assert main(command) == 0

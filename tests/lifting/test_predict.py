@@ -10,13 +10,13 @@ import lifting_support as support
 import numpy as np
 import planted
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from lifting import predict as module
-from lifting.model import FoldedNetwork, torch_threads
+from lifting.model import FoldedNetwork
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamingLifter
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN
@@ -88,7 +88,7 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
     _, R = support.moving(0, T)
     R_shared = R @ lifter.shared_frames(OFFSETS)
     p = P - CAMERA.center_world
-    axes, points = (torch.from_numpy(x).float() for x in (R_shared[..., [0, 2]], p))
+    axes, points = (x.astype(np.float32) for x in (R_shared[..., [0, 2]], p))
     across, along, turn = 0.01, 0.03, 0.05
     seen: list[Any] = []
 
@@ -96,17 +96,18 @@ def test_exact_network_output_gives_the_scene(lifter: Lifter, monkeypatch: pytes
         seen.append(encoded_by(*given))
         return seen[-1]
 
-    def exact(*_: object) -> torch.Tensor:
-        now, encoded = points.permute(0, 2, 1), seen[-1]
-        pose = torch.bmm(encoded.R_ray_world, now - now[:, :, :1])[:, :, 1:]
-        root = torch.einsum("bij,bj->bi", encoded.R_view_world, now[:, :, 0])
+    def exact(*_: object) -> Any:
+        encoded = seen[-1]
+        pose = encoded.R_ray_world @ (points - points[:, :1]).swapaxes(1, 2)[:, :, 1:]
+        root = np.einsum("bij,bj->bi", encoded.R_view_world, points[:, 0])
         shift = root[:, :2] / root[:, 2:] / encoded.scale[:, None]
-        distance = (root.norm(dim=1) * encoded.scale).log()[:, None]
-        spread = torch.tensor([across, along]).log()[:, None].expand(T, 2, 21)
-        in_ray = torch.einsum("bij,bsja->bais", encoded.R_ray_world, axes)
-        parts = [pose, shift, distance, spread, in_ray, torch.full((T, 21), turn).log()]
-        return torch.cat([x.flatten(1) for x in parts], dim=1)
+        distance = np.log(np.linalg.norm(root, axis=1) * encoded.scale)
+        spread = np.broadcast_to(np.log([across, along])[:, None], (T, 2, 21))
+        in_ray = np.einsum("bij,bsja->bais", encoded.R_ray_world, axes)
+        parts = [pose, shift, distance, spread, in_ray, np.full((T, 21), np.log(turn))]
+        return np.concatenate([x.reshape(T, -1) for x in parts], axis=1, dtype=np.float32)
 
+    monkeypatch.setattr(module, "CHUNK", T)
     monkeypatch.setattr(module, "encode", encode)
     monkeypatch.setattr(FoldedNetwork, "__call__", exact)
     poses = lifter.predict(KEYPOINTS, OFFSETS)
@@ -202,9 +203,9 @@ def test_chunks_threads_and_the_order_of_observations_do_not_matter(
     shuffled = IMUS.select(tuple(reversed(EVERY)))
     shuffled = replace(shuffled, a_world=np.full_like(shuffled.a_world, np.nan))
     keypoints = KEYPOINTS.select([*reversed(KEYPOINTS.names), "LeftEar", "Tail"])
-    with torch_threads(2):
+    with threadpool_limits(2):
         again = lifter.predict(keypoints, OFFSETS, bone_imus=shuffled)
-        assert torch.get_num_threads() == 2
+        assert {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"} == {2}
     assert_same(again, lifted, 1e-5)
 
 

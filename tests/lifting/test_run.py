@@ -61,10 +61,10 @@ def test_the_digest_depends_on_all_of_the_motion(corpus: Corpus, change: Any) ->
 
 
 def test_a_state_of_other_motion_is_refused(corpus: Corpus, tmp_path: Path) -> None:
-    path = train(QUICK, corpus, tmp_path / "lifter.pt")
+    path = train(QUICK, corpus, tmp_path / "lifter.npz")
     assert load_checkpoint(path)[1].recipe["corpus_sha256"] == corpus.digest()
     longer = replace(QUICK, windows=96)
-    message = r"lifter\.pt\.state: belongs to a training on other motion"
+    message = r"lifter\.npz\.state: belongs to a training on other motion"
     with pytest.raises(FileFormatError, match=message):
         train(longer, support.tiny_corpus(frames=30, seed=7), path, resume=True)
     steps: list[int] = []
@@ -73,20 +73,20 @@ def test_a_state_of_other_motion_is_refused(corpus: Corpus, tmp_path: Path) -> N
 
 
 def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> None:
-    path = train(QUICK, corpus, tmp_path / "lifter.pt")
+    path = train(QUICK, corpus, tmp_path / "lifter.npz")
     message = "a lifter of 8 channels and 21 joints; this training is of 9 channels"
     with pytest.raises(FileFormatError, match=message):
-        train(replace(QUICK, channels=9), corpus, tmp_path / "other.pt", start=path)
-    with pytest.raises(FileFormatError, match=r"lifter_live\.pt: .*start from one that fits"):
-        train(QUICK, corpus, tmp_path / "other.pt", start="live")
+        train(replace(QUICK, channels=9), corpus, tmp_path / "other.npz", start=path)
+    with pytest.raises(FileFormatError, match=r"lifter_live\.npz: .*start from one that fits"):
+        train(QUICK, corpus, tmp_path / "other.npz", start="live")
 
 
 def test_a_start_of_a_shorter_receptive_field_answers_first_for_the_middle(corpus: Corpus, tmp_path: Path) -> None:
-    start = train(replace(QUICK, windows=320, receptive_field=9), corpus, tmp_path / "short.pt")
-    short = load_checkpoint(start)[0].eval()
+    start = train(replace(QUICK, windows=320, receptive_field=9), corpus, tmp_path / "short.npz")
+    short = support.network_of(Lifter.load(start))
     for run in (Run(replace(QUICK, receptive_field=27), corpus), Run(replace(QUICK, receptive_field=81), corpus)):
         run.start(start)
-        size, shape = run.network.receptive_field(), run.network.config
+        size, shape = run.size, run.network.config
         features, constants = torch.randn(4, size, shape.inputs), torch.randn(4, shape.constants)
         middle = features[:, (size - 9) // 2 : (size + 9) // 2]
         own, known = run.averaged(features, constants), short(middle, constants)
@@ -96,19 +96,19 @@ def test_a_start_of_a_shorter_receptive_field_answers_first_for_the_middle(corpu
 
 
 def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None:
-    path = train(replace(QUICK, windows=320, learning_rate=1e-2), corpus, tmp_path / "lifter.pt")
+    path = train(replace(QUICK, windows=320, learning_rate=1e-2), corpus, tmp_path / "lifter.npz")
     losses: dict[bool, list[float]] = {}
     for causal in (False, True):
         reports: list[dict[str, Any]] = []
         config = replace(QUICK, windows=16, causal=causal)
-        train(config, corpus, tmp_path / "tuned.pt", reports.append, start=path, overwrite=True)
+        train(config, corpus, tmp_path / "tuned.npz", reports.append, start=path, overwrite=True)
         losses[causal] = [reports[0]["loss_mm"]]
         reports.clear()
-        train(config, corpus, tmp_path / "fresh.pt", reports.append, overwrite=True)
+        train(config, corpus, tmp_path / "fresh.npz", reports.append, overwrite=True)
         losses[causal].append(reports[0]["loss_mm"])
     for tuned, fresh in losses.values():
         assert tuned < 0.8 * fresh
-    origin = Lifter.load(tmp_path / "tuned.pt").description.recipe["started_from_sha256"]
+    origin = Lifter.load(tmp_path / "tuned.npz").description.recipe["started_from_sha256"]
     assert origin == Lifter.load(path).sha256
 
 
@@ -116,7 +116,7 @@ def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None
 
 
 def test_curves_are_written_also_by_an_interrupted_training(corpus: Corpus, tmp_path: Path) -> None:
-    out = tmp_path / "lifter.pt"
+    out = tmp_path / "lifter.npz"
 
     def interrupt(report: dict[str, Any]) -> None:
         if report["step"] == 3:
@@ -146,14 +146,14 @@ def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Cor
         path = train(
             config,
             corpus,
-            tmp_path / f"{name}.pt",
+            tmp_path / f"{name}.npz",
             lambda report: during.append(torch.are_deterministic_algorithms_enabled()),
         )
-        states.append(load_checkpoint(path)[0].state_dict())
+        states.append(load_checkpoint(path)[0])
     assert all(during)
     assert len(during) == 8
     assert not torch.are_deterministic_algorithms_enabled()
-    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+    assert all(np.array_equal(states[0][key], states[1][key]) for key in states[0])
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Cor
 def test_the_command_trains_with_every_option(
     corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
+    file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.npz"
     common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8"]
     common += ["--validation-windows", "8", "--ema", "0.9", "--no-bfloat16"]
     assert cli.main([*common, "-o", str(out), "--causal", "--camera-at", "4", "1.5", "--seed", "3"]) == 0
@@ -172,10 +172,10 @@ def test_the_command_trains_with_every_option(
     assert description.network.channels == 8
     assert description.recipe["augment"]["distance"] == [4.0, 4.0]
     assert description.recipe["augment"]["camera_height"] == [1.5, 1.5]
-    tuned = tmp_path / "tuned.pt"
+    tuned = tmp_path / "tuned.npz"
     assert cli.main([*common, "-o", str(tuned), "--initial", str(out)]) == 0
-    assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--initial", str(tmp_path / "none.pt")]) == 2
-    assert "none.pt: no such file" in capsys.readouterr().err
+    assert cli.main([*common, "-o", str(tmp_path / "x.npz"), "--initial", str(tmp_path / "none.npz")]) == 2
+    assert "none.npz: no such file" in capsys.readouterr().err
 
 
 def test_an_interrupted_command_names_the_state_file(
@@ -185,10 +185,10 @@ def test_an_interrupted_command_names_the_state_file(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("lifting.training.train.train", interrupted)
-    assert cli.main(["train", "corpus.npz", "-o", "x.pt"]) == 130
+    assert cli.main(["train", "corpus.npz", "-o", "x.npz"]) == 130
     message = capsys.readouterr().err
     assert "--resume" in message
-    assert "x.pt.state" in message
+    assert "x.npz.state" in message
 
 
 def test_an_error_of_the_second_thread_reaches_the_caller_and_the_thread_ends() -> None:
@@ -206,7 +206,7 @@ def test_validation_takes_a_twentieth_of_the_time(
     monkeypatch.setattr("lifting.training.run.Validation.measure", lambda *_: [next(seconds) for _ in range(4)] and {})
     reports: list[dict[str, Any]] = []
     config = replace(QUICK, windows=16 * 400, validations=20)
-    train(config, corpus, tmp_path / "lifter.pt", reports.append)
+    train(config, corpus, tmp_path / "lifter.npz", reports.append)
     made = [report["seconds"] for report in reports if "validation" in report]
     assert 3 <= len(made) < 12
     assert min(np.diff(made[:-1])) > 19 * 0.04

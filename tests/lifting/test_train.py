@@ -8,7 +8,6 @@ from typing import Any
 import lifting_support as support
 import numpy as np
 import pytest
-import torch
 
 from lifting.checkpoint import load_checkpoint
 from lifting.predict import Lifter
@@ -46,13 +45,9 @@ def corpus() -> Corpus:
     return support.tiny_corpus(frames=40)
 
 
-def weights(path: Path) -> dict[str, torch.Tensor]:
-    return load_checkpoint(path)[0].state_dict()
-
-
 def same(a: Path, b: Path) -> bool:
-    first, second = weights(a), weights(b)
-    return all(torch.equal(first[name], second[name]) for name in first)
+    first, second = load_checkpoint(a)[0], load_checkpoint(b)[0]
+    return all(np.array_equal(first[name], second[name]) for name in first)
 
 
 def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
@@ -81,7 +76,7 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
         if "validation" in report:
             errors.append(report["validation"]["perfect"])
 
-    path = train(config, twins, tmp_path / "lifter.pt", progress)
+    path = train(config, twins, tmp_path / "lifter.npz", progress)
     assert errors[-1]["rr_mm"] < 55
     assert errors[-1]["abs_mm"] < 120
     camera, p = support.side_camera(), corpus.positions(0).astype(float)
@@ -93,14 +88,14 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
 
 def test_a_resumed_training_equals_an_uninterrupted_one(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, dropout=0.2)
-    whole = train(config, corpus, tmp_path / "whole.pt")
-    assert not same(whole, train(replace(config, seed=1), corpus, tmp_path / "other.pt"))
+    whole = train(config, corpus, tmp_path / "whole.npz")
+    assert not same(whole, train(replace(config, seed=1), corpus, tmp_path / "other.npz"))
 
     def interrupt(report: dict[str, Any]) -> None:
         if report["step"] == 9:
             raise Interruption
 
-    parts = tmp_path / "parts.pt"
+    parts = tmp_path / "parts.npz"
     with pytest.raises(Interruption):
         train(config, corpus, parts, interrupt)
     assert not parts.exists()
@@ -108,32 +103,32 @@ def test_a_resumed_training_equals_an_uninterrupted_one(corpus: Corpus, tmp_path
     train(config, corpus, parts, lambda report: steps.append(report["step"]), resume=True)
     assert steps[0] == 10
     assert same(whole, parts)
-    curves = [json.loads((tmp_path / f"{n}.pt.curves.json").read_text()) for n in ("whole", "parts")]
+    curves = [json.loads((tmp_path / f"{n}.npz.curves.json").read_text()) for n in ("whole", "parts")]
     measured = [[row["validation"] for row in curve["history"]] for curve in curves]
     assert measured[0] == measured[1]
 
 
 def test_without_resume_the_state_is_not_read(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, windows=96)
-    path = train(config, corpus, tmp_path / "lifter.pt")
-    before = weights(path)
+    path = train(config, corpus, tmp_path / "lifter.npz")
+    before = load_checkpoint(path)[0]
     steps: list[int] = []
-    with pytest.raises(OutputExistsError, match=r"lifter\.pt: is there already"):
+    with pytest.raises(OutputExistsError, match=r"lifter\.npz: is there already"):
         train(config, corpus, path)
     path.unlink()
-    with pytest.raises(OutputExistsError, match=r"lifter\.pt\.state: is there already"):
+    with pytest.raises(OutputExistsError, match=r"lifter\.npz\.state: is there already"):
         train(config, corpus, path)
     train(config, corpus, path, lambda report: steps.append(report["step"]), overwrite=True)
     assert steps[0] == 1
-    assert all(torch.equal(before[name], tensor) for name, tensor in weights(path).items())
+    assert all(np.array_equal(before[name], value) for name, value in load_checkpoint(path)[0].items())
 
 
 def test_states_of_other_settings_and_broken_states_are_refused(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, windows=64)
-    path = train(config, corpus, tmp_path / "lifter.pt")
+    path = train(config, corpus, tmp_path / "lifter.npz")
     with pytest.raises(FileFormatError, match="other settings; delete it or do not resume"):
         train(replace(config, learning_rate=1e-4), corpus, path, resume=True)
-    (tmp_path / "lifter.pt.state").write_bytes(b"PK\x03\x04")
+    (tmp_path / "lifter.npz.state").write_bytes(b"PK\x03\x04")
     with pytest.raises(FileFormatError, match="not a readable training state"):
         train(config, corpus, path, resume=True)
 
@@ -143,14 +138,14 @@ def test_only_training_subjects_change_the_weights(corpus: Corpus, tmp_path: Pat
     R[80:] = np.eye(3)  # the clips that validate and test
     elsewhere = replace(corpus, R_world_bone=R)
     config = replace(QUICK, windows=96)
-    first = train(config, corpus, tmp_path / "1.pt")
-    second = train(config, elsewhere, tmp_path / "2.pt")
+    first = train(config, corpus, tmp_path / "1.npz")
+    second = train(config, elsewhere, tmp_path / "2.npz")
     assert same(first, second)
     assert load_checkpoint(first)[1].validation != load_checkpoint(second)[1].validation
 
 
 def test_the_lifter_contains_its_recipe_and_errors(corpus: Corpus, tmp_path: Path) -> None:
-    path = train(replace(QUICK, windows=100), corpus, tmp_path / "lifter.pt")
+    path = train(replace(QUICK, windows=100), corpus, tmp_path / "lifter.npz")
     description = load_checkpoint(path)[1]
     assert description.recipe["windows_seen"] == 128
     assert description.recipe["augment"]["distance"] == [1.8, 7.5]
@@ -164,7 +159,7 @@ def test_the_lifter_contains_its_recipe_and_errors(corpus: Corpus, tmp_path: Pat
 def test_minutes_end_a_training(corpus: Corpus, tmp_path: Path) -> None:
     reports: list[dict[str, Any]] = []
     config = replace(QUICK, windows=None, minutes=0.01)
-    train(config, corpus, tmp_path / "lifter.pt", reports.append)
+    train(config, corpus, tmp_path / "lifter.npz", reports.append)
     assert reports[-1]["share_done"] == 1.0
     assert 0.6 <= reports[-1]["seconds"] < 3.8
 
@@ -193,7 +188,7 @@ CORPUS = support.tiny_corpus(frames=60)
 
 
 def test_a_trained_model_has_the_prior_of_its_training_clips(tmp_path: Path) -> None:
-    prior = Lifter.load(train(QUICK_PRIOR, CORPUS, tmp_path / "model.pt")).prior
+    prior = Lifter.load(train(QUICK_PRIOR, CORPUS, tmp_path / "model.npz")).prior
     known = shipped_prior(CORPUS.names)
     expected = fit_pose_prior(CORPUS.names, CORPUS.parents, motions_of(CORPUS), False, known=known)
     assert prior is not None
@@ -201,7 +196,7 @@ def test_a_trained_model_has_the_prior_of_its_training_clips(tmp_path: Path) -> 
         np.testing.assert_allclose(prior.arrays()[name], value, rtol=1e-12, err_msg=name)
     assert BODY.with_prior(prior).table.prior is prior
     config = replace(QUICK_PRIOR, prior="none")
-    assert Lifter.load(train(config, CORPUS, tmp_path / "lifter.pt")).prior is None
+    assert Lifter.load(train(config, CORPUS, tmp_path / "lifter.npz")).prior is None
 
 
 def test_one_rig_keeps_its_spine_and_several_share_the_bend() -> None:

@@ -115,7 +115,7 @@ def test_degenerate_scenes_stay_finite(body: Body, scene: Tensor, axes: Tensor) 
         assert torch.isfinite(encoded.features).all()
         assert torch.isfinite(encoded.constants).all()
         for value in (1e6, 0.0):
-            for part in fields(decode(body, torch.full((3, sizes(body)[2]), value), encoded)):
+            for part in fields(decode(body, torch.full((3, sizes(body)[2]), value).double(), encoded)):
                 assert torch.isfinite(part).all()
 
 

@@ -29,8 +29,8 @@ SUBJECTS = ("S9", "S11")
 def lifter(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A 17-joint lifter that has learned nothing."""
     made = untrained_lifter(seed=2, table=TABLE_17, rate_hz=50.0)
-    path = tmp_path_factory.mktemp("lifter") / "lifter17.pt"
-    return save_checkpoint(path, made.network, made.description)
+    path = tmp_path_factory.mktemp("lifter") / "lifter17.npz"
+    return save_checkpoint(path, made.weights, made.description)
 
 
 def archive(root: Path, subjects: tuple[str, ...] = SUBJECTS) -> h36m.Positions:
@@ -115,7 +115,7 @@ def test_the_table_has_the_papers_rows_then_ours_then_no_motion(measured: Path) 
     assert all(caveat in table["notes"] for caveat in published.HUMAN36M_CAVEATS)
     assert table["columns"][1:4] == ["MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
     assert "S9, S11, cameras 1, 36 frames, all pooled; ground-truth 2D" in table["notes"][0]
-    assert "lifter17.pt" in table["notes"][0]
+    assert "lifter17.npz" in table["notes"][0]
     assert not any("INCOMPLETE" in note for note in table["notes"])
 
 
@@ -132,7 +132,7 @@ def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_
     usual = Human36MProtocol(root, Path("live"))
     assert (usual.subjects, usual.cameras, usual.modes) == (SUBJECTS, (0, 1, 2, 3), ("lift", "rto"))
     assert len(usual.jobs()) == 2 * 2 * 4
-    weights = model_path("lifter_live.pt").read_bytes()
+    weights = model_path("lifter_live.npz").read_bytes()
     assert usual.settings()["lifter_sha256"] == hashlib.sha256(weights).hexdigest()
 
 

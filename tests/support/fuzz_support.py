@@ -198,7 +198,7 @@ def _lifter() -> Files:
     from lifting.checkpoint import save_checkpoint
 
     lifter = lifting_support.untrained_lifter(channels=4)
-    return made_by(lambda d: save_checkpoint(d / "a.pt", lifter.network, lifter.description))
+    return made_by(lambda d: save_checkpoint(d / "a.npz", lifter.weights, lifter.description))
 
 
 def _learning() -> tuple[Reader, ...]:
@@ -211,7 +211,7 @@ def _learning() -> tuple[Reader, ...]:
     from lifting.training.corpus import read_corpus, read_split
 
     return (
-        Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
+        Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.npz")),
         written("corpus", "a.npz", lambda p: lifting_support.tiny_corpus(4, 3).save(p), read_corpus),
         given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
     )

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.checkpoint import LifterDescription
-from lifting.model import NetworkConfig, TemporalNetwork
+from lifting.model import FoldedNetwork, NetworkConfig
 from lifting.predict import LiftedPoses, Lifter
 from lifting.training.corpus import Corpus
+from lifting.training.network import TemporalNetwork
 from lifting.training.run import first_answer
 from lifting.windows import EncodedWindows, Windows, sizes
 from rtof_kin.body import kinematics
@@ -75,7 +76,20 @@ def untrained_lifter(
         for p in network.parameters():
             p.add_(0.02 * torch.randn_like(p))
         network.shrink.bias.add_(first_answer(body))
-    return Lifter(network, LifterDescription(body, network.config, rate_hz))
+    return Lifter(network.weights(), LifterDescription(body, network.config, rate_hz))
+
+
+def network_of(lifter: Lifter) -> TemporalNetwork:
+    """The network of a lifter as it is trained, in evaluation mode."""
+    network = TemporalNetwork(lifter.description.network).eval()
+    network.load_state_dict({name: torch.tensor(value) for name, value in lifter.weights.items()})
+    return network
+
+
+def tensor_network(lifter: Lifter) -> FoldedNetwork:
+    """The fused network of a lifter on tensors."""
+    tensors = {name: torch.tensor(value) for name, value in lifter.weights.items()}
+    return FoldedNetwork(lifter.description.body, lifter.description.network, tensors)
 
 
 def lifted_positions(

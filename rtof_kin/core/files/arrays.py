@@ -215,11 +215,11 @@ def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
     return array
 
 
-def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
-    """Write arrays to a compressed .npz file; errors as `core.files.folder.new_file`."""
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False, compressed: bool = True) -> None:
+    """Write arrays to an .npz file; errors as `core.files.folder.new_file`."""
     contents: dict[str, Any] = dict(arrays)
     with new_file(path, overwrite) as whole, whole.open("wb") as stream:
-        np.savez_compressed(stream, **contents)
+        (np.savez_compressed if compressed else np.savez)(stream, **contents)
 
 
 def write_csv(path: Path, columns: Mapping[str, Array], overwrite: bool = False) -> None:
