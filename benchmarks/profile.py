@@ -1,9 +1,9 @@
 """Where the time of a reconstruction goes: processor and clock by stage, cold and warm, on one core and on two.
 
-``python -m benchmarks profile`` runs ``rtof-kin reconstruct`` on recordings of some lengths, made from the demo, each in a
-process of its own, and ``--video FILE`` adds ``rtof-kin detect``. *Cold* has an empty cache: the energy is compiled. *start* is
-what lies before the first stage and between stages: the interpreter, imports, reading. Of several processes, stages are of the
-first one, which waits for the others in *parts*. Nothing else should run beside it.
+``python -m benchmarks profile`` runs ``rtof-kin reconstruct`` on recordings of some lengths, made from the demo, each
+in a process of its own; ``--video FILE`` adds ``rtof-kin detect``. *Cold* has an empty cache: the energy is compiled.
+*start* is what lies before the first stage and between stages: the interpreter, imports, reading, writing motion.h5.
+Of several processes, stages are of the first one, which waits for the others in *parts*. Run nothing else beside it.
 """
 
 from __future__ import annotations
@@ -107,9 +107,8 @@ def table(rows: list[tuple[str, dict[str, Any]]]) -> str:
     """The rows as a table: totals, then processor seconds of the first process by stage."""
     lines = table_head(" | ".join(["", "clock s", "processor s", *("start", *STAGES)]))
     for name, row in rows:
-        stages = (row["stages"][stage] for stage in ("start", *STAGES))
-        cells = [f"{wall if stage == 'parts' else cpu:.2f}" for stage, (cpu, wall) in zip(("start", *STAGES), stages)]
-        lines.append(f"| {' | '.join([name, f'{row['wall_s']:.1f}', f'{row['cpu_s']:.1f}', *cells])} |")
+        cells = [wall if stage == "parts" else cpu for stage, (cpu, wall) in row["stages"].items()]
+        lines.append(" | ".join([f"| {name}", *(f"{x:.2f}" for x in (row["wall_s"], row["cpu_s"], *cells))]) + " |")
     return "\n".join(lines)
 
 
