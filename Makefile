@@ -29,6 +29,7 @@ lint-platforms: $(STAMP)
 # The tests write bytecode: the programs that they start load in 0.6 s less. Three workers, as some tests wait for them.
 test: lint
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks smoke --slowdown
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 	$(BIN)/python tests/check_real_video.py

@@ -1,17 +1,25 @@
-"""Two benchmarks of the shipped demo, short: accuracy and speed of the solvers, within wide bounds.
+"""Benchmarks of the shipped demo, short: accuracy and speed of the solvers, within wide bounds, and a slowdown.
 
 ``python -m benchmarks smoke`` (`make bench-smoke`) reconstructs the first six seconds in three ways and
 fails where a figure is not finite or outside of its bounds. These catch what is broken; what is a little
-worse is for `benchmarks.unchanged` and the harness.
+worse is for `benchmarks.unchanged` and the harness. ``--slowdown`` (`make test`) instead measures solving, covariances
+and lifting of the demo in units of a matrix product of NumPy on the same machine, and fails where one has become slower
+by 30 % on a kind of processor that `UNITS` knows, or by twice on another.
 """
 
 from __future__ import annotations
 
 import sys
-from time import perf_counter
+from collections.abc import Callable
+from time import perf_counter, process_time
 
+import numpy as np
+
+from rtof_kin.core.environment import processor
 from rtof_kin.core.resources import model_path
+from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Job
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.settings import CartesianSettings
@@ -57,8 +65,48 @@ def wrong(found: dict[str, float]) -> list[str]:
     ]
 
 
+UNITS = {"AMD EPYC, instructions 25fc08b1": {"solve": 24.0, "covariances": 44.0, "lift": 29.6}}
+"""Kind of processor -> what each takes there, in matrix products of 512 x 512 numbers."""
+SLOWER, ELSEWHERE, REPEATS = 1.3, 2.0, 8
+
+
+def slowdown() -> list[str]:
+    """Print what solving, covariances and lifting take beside the same before, and return what is too slow, in words.
+
+    The least time of several rounds counts, in which all follow one another, so that other programs disturb all alike.
+    """
+    recording = Recording.load(model_path("demo")).between(0.0, 8.0)
+    job = Job.of(recording, None, None, None, None).with_solver(None)
+    prepared = job.prepare("rtof")
+    matrix = np.random.default_rng(0).normal(size=(512, 512))
+    work: dict[str, Callable[[], object]] = {
+        "product": lambda: [matrix @ matrix for _ in range(10)],
+        "solve": lambda: job.solve(prepared, confidence=False),
+        "both": lambda: job.solve(prepared, confidence=True),
+        "lift": lambda: lift(prepared.recording.video, prepared.skeleton, None, prepared.bone_imus, None),
+    }
+    least = dict.fromkeys(work, np.inf)
+    for _ in range(REPEATS):
+        for name, do in work.items():
+            began = process_time()
+            do()
+            least[name] = min(least[name], process_time() - began)
+    least["covariances"] = least.pop("both") - least["solve"]
+    unit, known = least.pop("product") / 10, UNITS.get(processor())
+    before, allowed = (known, SLOWER) if known else (next(iter(UNITS.values())), ELSEWHERE)
+    print(f"{processor()}, {'known' if known else 'not known'}: in products of {1000 * unit:.2f} ms")
+    for name, seconds in least.items():
+        print(f"{name:16} {seconds / unit:8.1f}, before {before[name]:8.1f}")
+    slow = (name for name, seconds in least.items() if seconds / unit > allowed * before[name])
+    return [f"{name} is slower than before by more than {100 * (allowed - 1):.0f} %" for name in slow]
+
+
 def main() -> int:
     """Run, print a table, and return the exit status."""
+    if "--slowdown" in sys.argv:
+        faults = slowdown()
+        print(*faults, sep="\n")
+        return 1 if faults else 0
     recording = Recording.load(model_path("demo"))
     recording, faults, began = recording.between(0.0, SECONDS), [], perf_counter()
     for case, (mode, settings) in CASES.items():

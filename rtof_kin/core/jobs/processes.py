@@ -124,9 +124,11 @@ class _Pool:
     def run(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
         while True:
+            given = list[tuple[_Worker, _Job]]()
             for job in islice(jobs, self.most - len(self.busy)):
-                worker = self.idle.pop() if self.idle else _Worker(self.function)
-                self.busy.append(worker)
+                given.append((self.idle.pop() if self.idle else _Worker(self.function), job))
+                self.busy.append(given[-1][0])
+            for worker, job in given:  # all have begun: a large job waits until its worker has
                 worker.give(job)
             if not self.busy:
                 return
