@@ -90,6 +90,8 @@ def dispatch(arguments: list[str]) -> int:
         return int(app(arguments)(arguments) or 0)
     except CycloptsError as error:
         raise InvalidInputError(_sentence(error, arguments)) from error
+    except ImportError as error:  # cyclopts wraps that of a command's module
+        raise error.__cause__ if isinstance(error.__cause__, RtofError) else error  # noqa: B904
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
