@@ -14,12 +14,12 @@ from typing import Any, Final, Self
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
+from rtof_kin.core.errors import InvalidInputError, WritingError
 from rtof_kin.core.packages import optional
 from rtof_kin.view.canvas import Image
 from rtof_kin.view.overlay_settings import Background
 from rtof_kin.view.projected_motion import PictureView
-from rtof_kin.vision.video import read_video
+from rtof_kin.vision.video import h264_encoder, read_video
 from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
 
 _COLOURS: Final[dict[Background, int]] = {"white": 255, "dark": 32}
@@ -38,7 +38,7 @@ _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
 }
-"""Options of the encoders that are tried, the best first."""
+"""Options of the encoders of `vision.video.H264_ENCODERS`."""
 _TICKS: Final = 90_000  # Ticks per second of time stamps
 _BT709: Final = 1  # FFmpeg's number of the colour space of BT.709
 
@@ -157,10 +157,7 @@ class Mp4Writer:
 
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         self._av = optional("av", "view")
-        known = [name for name in _ENCODERS if name in self._av.codecs_available]
-        if not known:
-            raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")
-        self.encoder = known[0]
+        self.encoder = h264_encoder()
         self._path, self._size, self._rate = path, size, rate_hz
         self._first: float | None = None
         self._last = -1

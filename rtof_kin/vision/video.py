@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.choices import Provider
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Detections, Person
@@ -32,6 +32,7 @@ from rtof_kin.vision.person_detector import Detector, choose_detector
 from rtof_kin.vision.video_metadata import frame_count, frame_rate, open_video, slow_motion, upright_image
 
 Progress = Callable[[str, int, int], None]
+H264_ENCODERS: Final = ("libx264", "libopenh264")  #: Of those that are tried, the best first
 _AHEAD: Final = 3  #: Images of a file that are decoded before they are looked at
 _log = logging.getLogger(__name__)
 
@@ -137,6 +138,14 @@ def _file(path: str | Path, every: int) -> Generator[VideoFrame]:
             raise FileFormatError(path, "there is no readable frame in it")
 
 
+def h264_encoder() -> str:
+    """Return the name of the best encoder of H.264 that this PyAV has; `RtofError` where it has none."""
+    known = [name for name in H264_ENCODERS if name in optional("av", "video").codecs_available]
+    if not known:
+        raise RtofError(f"this PyAV has none of the encoders {', '.join(H264_ENCODERS)}; install its wheel")
+    return known[0]
+
+
 def h264_frames(path: str | Path, size: tuple[int, int] | None = None) -> Iterator[tuple[float, bytes]]:
     """Generate the frames of a video file, encoded anew, upright: time, s, and an access unit of H.264 in Annex B,
     without B frames and with a key frame every 60, as Foxglove and Rerun decode them. size: width and height, px;
@@ -146,7 +155,7 @@ def h264_frames(path: str | Path, size: tuple[int, int] | None = None) -> Iterat
     for number, frame in enumerate(read_video(path)):
         width, height = (side // 2 * 2 for side in size or frame.image.shape[1::-1])
         if encoder is None:
-            encoder = av.CodecContext.create("libx264" if "libx264" in av.codecs_available else "libopenh264", "w")
+            encoder = av.CodecContext.create(h264_encoder(), "w")
             encoder.width, encoder.height, encoder.pix_fmt, encoder.max_b_frames = width, height, "yuv420p", 0
             encoder.time_base, encoder.gop_size = Fraction(1, 1000), 60
             if encoder.name == "libx264":

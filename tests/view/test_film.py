@@ -389,6 +389,6 @@ def test_nothing_is_replaced_and_nothing_half_is_left(
 def test_without_h264_the_encoders_are_named(
     out: Path, video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(film_files, "_ENCODERS", {"no_such_encoder": {}})
+    monkeypatch.setattr("rtof_kin.vision.video.H264_ENCODERS", ("no_such_encoder",))
     with pytest.raises(RtofError, match="no_such_encoder"):
         write_overlay(out, tmp_path / "p.mp4", video, settings=NO_LABELS)
