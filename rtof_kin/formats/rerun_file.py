@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,15 +28,8 @@ def write_rrd(path: Path, motion: MotionSource, beside: Beside) -> float:
     measured = beside.measurements if beside.measurements and len(beside.measurements) == len(motion) else None
     views = measured.read(0, 1).views if measured else ()
     places = [f"world/camera_{number}/image" for number in range(1, 1 + len(views))]
-    pictures = [rrb.Spatial2DView(origin=place, name=place.split("/")[1]) for place in places]
-    curves = [
-        rrb.TimeSeriesView(origin="angles", contents=[f"angles/{side}_{name}" for side in ("left", "right")], name=name)
-        for name in _SHOWN
-    ]
-    above = rrb.Horizontal(rrb.Spatial3DView(origin="world", name="world"), *pictures)
-    layout = rrb.Vertical(above, rrb.Horizontal(*curves), row_shares=[3, 1])
     log = rr.RecordingStream("rtof_kin")
-    log.save(path, default_blueprint=rrb.Blueprint(layout, collapse_panels=True))
+    log.save(path, default_blueprint=_layout(rrb, places))
     log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for place, view in zip(places, views, strict=True):
         camera = view.camera
@@ -82,3 +76,14 @@ def write_rrd(path: Path, motion: MotionSource, beside: Beside) -> float:
         log.log(places[0], rr.VideoStream.from_fields(sample=data))
     log.disconnect()
     return 0.0
+
+
+def _layout(rrb: Any, places: Sequence[str]) -> Any:
+    """Return what is open at the start: the room and the pictures, curves below them."""
+    pictures = [rrb.Spatial2DView(origin=place, name=place.split("/")[1]) for place in places]
+    curves = [
+        rrb.TimeSeriesView(origin="angles", contents=[f"angles/{side}_{name}" for side in ("left", "right")], name=name)
+        for name in _SHOWN
+    ]
+    above = rrb.Horizontal(rrb.Spatial3DView(origin="world", name="world"), *pictures)
+    return rrb.Blueprint(rrb.Vertical(above, rrb.Horizontal(*curves), row_shares=[3, 1]), collapse_panels=True)

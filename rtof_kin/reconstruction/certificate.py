@@ -42,7 +42,7 @@ from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.camera_evidence import without_heading_drift
 from rtof_kin.reconstruction.checks.position import PositionErrors
-from rtof_kin.reconstruction.prepare import Job
+from rtof_kin.reconstruction.prepare import Job, silent
 from rtof_kin.reconstruction.quality import with_covariances
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.vision.image_points import image_points, measurements
@@ -320,7 +320,7 @@ class _Without:
         # Room for all sensors, so that the compiled energy is the same.
         places = (*self.job.settings.sensor_joints, *(recording.calibration.joints if recording.calibration else ()))
         settings = replace(self.job.settings, sensor_joints=places, checks=False)
-        job = replace(self.job, recording=recording, settings=settings, progress=lambda *_: None)
+        job = replace(self.job, recording=recording, settings=settings, progress=silent)
         rejected = tuple(fault for fault in self.rejected if fault.what != self.joint)
         try:
             if self.mode == "imu":

@@ -121,7 +121,7 @@ def reconstruct_in_parts(
             setup = estimate_setup(job, mode, given)
         yield run(job, mode, setup)
         return
-    settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
+    settings, report = settings or ReconstructionSettings(), progress or silent
     times = _frame_times(source, mode)
     rate_hz = float(1 / np.median(np.diff(times)))
     parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
@@ -135,8 +135,9 @@ def reconstruct_in_parts(
     one = job if workers == 1 else replace(job, progress=silent)
     tasks = _tasks(source, one, mode, setup, parts, times, certified)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
-    for number, (part, found) in enumerate(zip(parts, _solved_in_order(tasks, workers), strict=True)):
-        report("parts", number, len(parts))
+    report("parts", 0, len(parts))
+    for done, (part, found) in enumerate(zip(parts, _solved_in_order(tasks, workers), strict=True), start=1):
+        report("parts", done, len(parts))
         if isinstance(found, RtofError):
             missing.append((times[part.start : part.stop], found))
             continue
@@ -150,7 +151,6 @@ def reconstruct_in_parts(
     if like is None:
         raise missing[0][1]
     yield from _lost(like, source, job, setup, missing)
-    report("parts", len(parts), len(parts))
 
 
 _Task = Callable[[], Reconstruction]

@@ -36,7 +36,7 @@ from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_fe
 from rtof_kin.reconstruction.checks.camera import check_camera_alone
 from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike, lift
-from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
+from rtof_kin.reconstruction.prepare import Job, Prepared, Progress, silent
 from rtof_kin.reconstruction.quality import reprojection_errors
 from rtof_kin.reconstruction.result import Choices
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -176,7 +176,7 @@ def find_camera(job: Job, mode: Mode) -> CameraEstimate:
     def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
         if sensed:
             return job.solved_again(recording, "rtof")
-        prepared = replace(job, recording=recording, progress=lambda *_: None).prepare("rto")
+        prepared = replace(job, recording=recording, progress=silent).prepare("rto")
         return prepared, prepared.start
 
     prepared, poses = solve(recording)
@@ -437,9 +437,9 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
         rounds=1,
     )
     first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
-    silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
+    quiet = [replace(first.corrected(job), progress=silent) for job in jobs]
     try:
-        found = calibrated(silent, only, None)["delay", "video"]
+        found = calibrated(quiet, only, None)["delay", "video"]
     except RtofError:
         return delay
     return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])

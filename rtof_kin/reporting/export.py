@@ -228,9 +228,9 @@ def beside_of(folder: Path, video: Path | None = None) -> Iterator[Beside]:
     with ExitStack() as files:
         path = measurements_path(folder)
         measured = files.enter_context(MeasurementsReader(path)) if path.is_file() else None
-        view = next(iter(measured.read(0, 1).views), None) if measured is not None else None
 
         def frames() -> Iterator[tuple[float, bytes]]:
+            view = next(iter(measured.read(0, 1).views), None) if measured is not None else None
             size = None if view is None else (view.camera.width_px, view.camera.height_px)
             later = 0.0 if view is None else float(view.times[0] - view.video_times[0])
             return ((time + later, data) for time, data in h264_frames(video or "", size))
