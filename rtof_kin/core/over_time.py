@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -27,7 +28,7 @@ class OverTime:
         own = {name: getattr(self, name) for name in ("times", *self.rows)}
         return {name: value if value is None else value[frames] for name, value in own.items()}
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Rate, Hz, from the median step; 60 for a single row."""
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0

@@ -34,10 +34,10 @@ def exp(rotvec: Array) -> Array:
 
 def log(q: Array) -> Array:
     """Return rotation vectors (..., 3), rad, of length at most pi; q: (..., 4)."""
-    q = np.where(q[..., :1] < 0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    factor = np.where(sine > 1e-9, 2 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)
-    return np.asarray(factor * q[..., 1:])
+    w, v = q[..., :1], q[..., 1:]
+    sine = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
+    factor = np.where(sine > 1e-9, 2 * np.arctan2(sine, np.abs(w)) / np.maximum(sine, 1e-12), 2.0)
+    return np.asarray(np.where(w < 0, -factor, factor) * v)
 
 
 def right_jacobian_inverse(rotvec: Array) -> Array:

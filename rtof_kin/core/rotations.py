@@ -46,7 +46,7 @@ def exp(rotvec: ArrayLike) -> Array:
 def log(R: ArrayLike) -> Array:
     """Return rotation vectors (..., 3), rad, of length at most pi; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
-    flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
+    flat = Rotation.from_quat(_quats_of(R.reshape(-1, 3, 3)), scalar_first=True).as_rotvec()
     return np.asarray(flat).reshape(*R.shape[:-2], 3)
 
 
@@ -146,12 +146,41 @@ def from_quat_wxyz(quat_wxyz: ArrayLike) -> Array:
 def to_quat_wxyz(R: ArrayLike) -> Array:
     """Return quaternions (..., 4), scalar first, continuous along the first axis; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
-    flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    quat = np.asarray(flat).reshape(*R.shape[:-2], 4)
+    quat = _quats_of(R.reshape(-1, 3, 3)).reshape(*R.shape[:-2], 4)
     if quat.ndim > 1 and len(quat) > 1:
         flips = np.where(np.sum(quat[1:] * quat[:-1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
         quat[1:] *= np.cumprod(flips, axis=0)
     return quat
+
+
+def _quats_of(R: Array) -> Array:
+    """Return quaternions (n, 4), scalar first, of matrices (n, 3, 3): the largest row of 4 q q^T (Shepperd 1978). Where
+    one is no rotation to rounding SciPy does it, whose checks of a few matrices take longer than all else.
+    """
+    K = (R.reshape(-1, 9) @ _SHEPPERD).reshape(-1, 4, 4) + np.eye(4)
+    rows = K[np.arange(len(K)), K[:, _FOUR, _FOUR].argmax(axis=1)]
+    square = np.einsum("ni,ni->n", rows, rows)
+    handed = np.abs(square - 4 * K[:, _FOUR, _FOUR].max(axis=1, initial=0.0))
+    if (np.abs(R @ R.swapaxes(1, 2) - np.eye(3)) < _ROUNDING).all() and (handed < _ROUNDING).all():
+        return np.asarray(rows / np.sqrt(square)[:, None])
+    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+
+_FOUR, _ROUNDING = np.arange(4), 1e-12
+
+
+def _shepperd() -> Array:
+    """Return the derivatives (9, 16) of 4 q q^T by a matrix, to which its diagonal of ones is added."""
+    out = np.zeros((3, 3, 4, 4))
+    for i, signs in enumerate([(1, 1, -1, -1), (1, -1, 1, -1), (1, -1, -1, 1)]):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i, i, _FOUR, _FOUR] = signs
+        out[k, j, [0, 1 + i], [1 + i, 0]], out[j, k, [0, 1 + i], [1 + i, 0]] = 1.0, -1.0
+        out[[j, k], [k, j], 1 + j, 1 + k] = out[[j, k], [k, j], 1 + k, 1 + j] = 1.0
+    return out.reshape(9, 16)
+
+
+_SHEPPERD = _shepperd()
 
 
 def _where_known(function: Callable[[Array], Array], values: Array, axes: int, shape: tuple[int, ...]) -> Array:
@@ -190,7 +219,7 @@ def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     if not np.all(np.abs(R) <= 1 + tolerance):  # also if one is NaN or infinite
         return False
     x, y, z = R.reshape(-1, 9).T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z
-    errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), np.cross(x, y, axis=0) - z
+    errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), cross(x.T, y.T).T - z
     return all(bool(np.all(np.abs(error) < tolerance)) for error in errors)
 
 

@@ -126,7 +126,7 @@ class Camera:
 
     def undistorted(self) -> Camera:
         """Return the camera without distortion."""
-        return replace(self, distortion=np.zeros(5))
+        return replace(self, distortion=np.zeros(5)) if np.any(self.distortion) else self
 
     def _distort(self, xy: Array) -> Array:
         if not np.any(self.distortion):

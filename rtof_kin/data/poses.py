@@ -112,8 +112,8 @@ class PoseSequence(OverTime):
         freeze(self, "pose", p_world_joint=(T, J, 3), R_world_bone=(T, J, 3, 3))
         checked_rotations("pose R_world_bone", self.R_world_bone)
         finite = np.isfinite(self.p_world_joint).all(axis=-1)
-        provenance = np.zeros((T, J)) if self.provenance is None else self.provenance
-        if not np.all(np.isin(provenance, list(Provenance))):
+        provenance = np.zeros((T, J)) if self.provenance is None else np.asarray(self.provenance)
+        if not ((provenance >= 0) & (provenance <= max(Provenance)) & (provenance % 1 == 0)).all():
             raise InvalidInputError(f"pose provenance: a value is not one of {', '.join(map(repr, Provenance))}")
         set_(self, "provenance", readonly("pose provenance", provenance, (T, J), np.uint8))
         valid = readonly("pose valid", finite if self.valid is None else self.valid, (T, J), np.bool_)

@@ -53,7 +53,7 @@ class SensorBuffer:
         self._times = np.full((S, _CAPACITY), np.inf)
         self._quat, self._a = np.zeros((S, _CAPACITY, 4)), np.zeros((S, _CAPACITY, 3))
         self._quat[..., 0] = 1.0
-        self._fresh: list[tuple[int, int, Array]] = []  # rotations that are not converted yet
+        self._fresh: list[tuple[int, int, Array, Array]] = []  # rotations and accelerations not converted yet
         self._heading, self._mounting = np.zeros(S), np.tile([1.0, 0.0, 0.0, 0.0], (S, 1))
         self._frame = 1 / rate_hz
         self._response = _response(rate_hz, cutoff_hz)
@@ -75,7 +75,6 @@ class SensorBuffer:
             raise UnknownNameError("sensor", [sensor], self._calibration.sensors)
         if not np.isfinite(R_inertial_sensor).all():
             return
-        R = self._R_world_inertial[s] @ R_inertial_sensor
         n = self._count[s]
         if n == _CAPACITY:
             n = self._halve(s)
@@ -88,8 +87,7 @@ class SensorBuffer:
             for array in (self._times, self._quat, self._a):
                 array[s, i + 1 : n + 1] = array[s, i:n]
         self._times[s, i] = time
-        self._fresh.append((s, i, R @ self._R_sensor_bone[s]))
-        self._a[s, i] = R @ f_sensor + GRAVITY_WORLD
+        self._fresh.append((s, i, R_inertial_sensor, f_sensor))
         self._count[s] = n + 1
         self.newest[s] = max(self.newest[s], time)
         self.changed = min(self.changed, time)
@@ -117,8 +115,8 @@ class SensorBuffer:
         self._convert()
         S, F = len(self.joints), len(times)
         after = np.empty((S, F), dtype=int)
-        for s in range(S):
-            after[s] = np.searchsorted(self._times[s, : self._count[s]], times)
+        for s, count in enumerate(self._count.tolist()):
+            after[s] = self._times[s, :count].searchsorted(times)
         q, known = self._orientations(after, times)
         a, moved = self._accelerations(after, times)
         if corrected and (self._heading.any() or (self._mounting[:, 1:] != 0).any()):
@@ -173,10 +171,12 @@ class SensorBuffer:
         return np.where(many, (n - 1 - back) / np.maximum(span, 1e-6), 60.0)
 
     def _convert(self) -> None:
-        """Convert the newest rotations to quaternions, all at once."""
+        """Convert the newest samples to quaternions and accelerations in world, all at once."""
         if self._fresh:
-            s, i, R = zip(*self._fresh, strict=True)
-            self._quat[list(s), list(i)] = so3.to_quat_wxyz(np.stack(R))
+            s, i, R_inertial_sensor, f = map(list, zip(*self._fresh, strict=True))
+            R = self._R_world_inertial[s] @ np.array(R_inertial_sensor)
+            self._quat[s, i] = so3.to_quat_wxyz(R @ self._R_sensor_bone[s])
+            self._a[s, i] = (R @ np.array(f)[:, :, None])[..., 0] + GRAVITY_WORLD
             self._fresh.clear()
 
     def _halve(self, s: int) -> int:

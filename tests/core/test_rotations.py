@@ -129,6 +129,13 @@ def test_quaternions_are_continuous_over_time() -> None:
     scipy = Rotation.from_matrix(R[:, 0]).as_quat(scalar_first=True)
     assert_close(quat[:, 0] ** 2, scipy**2)
     assert_close(so3.from_quat_wxyz([1.0, 0, 0, 0]), np.eye(3))
+    turns = np.concatenate(
+        [R.reshape(-1, 3, 3), [np.diag(d) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]]
+    )
+    for matrix in (*turns, R.reshape(-1, 3, 3)[0] * (1 + 1e-6)):  # the last is no rotation to rounding
+        assert_close(so3.to_quat_wxyz(matrix), Rotation.from_matrix(matrix).as_quat(scalar_first=True), 1e-15)
+    with pytest.raises(ValueError, match="determinant"):
+        so3.to_quat_wxyz(np.diag([1.0, 1.0, -1.0]))
 
 
 def test_is_rotation_refuses_reflections_scaling_nan_and_infinity() -> None:

@@ -104,7 +104,8 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
     whole._early[:] = 1.0
     whole._window.bind(whole._data())
     whole._leaving.bind(whole._first_terms())
-    prior = marginalised(whole.prior, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))
+    slope = whole.prior.at(data.space, whole.x[:MEMORY])[1]
+    prior = marginalised(whole.prior, slope, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))
     whole._window.condition(whole.prior)
     gradient = whole._window.linearise(whole.x)[1]
     step = whole._window.factorise(1e-9).solve(-gradient)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -31,12 +32,13 @@ from rtof_kin.solve.joint_space.stencils import LAGS
 
 
 def marginalised(
-    prior: MarginalPrior, leaving: FragmentEnergy, limits: Limits | None, x: Array, multipliers: Array
+    prior: MarginalPrior, slope: Array, leaving: FragmentEnergy, limits: Limits | None, x: Array, multipliers: Array
 ) -> MarginalPrior:
     """Return the prior of frames 1 to 3 after frame 0 has left.
 
     Args:
-        prior: of frames 0 to 2. leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
+        prior: of frames 0 to 2. slope: (3, D) its gradient at x.
+        leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
         x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
 
     Raises:
@@ -45,23 +47,28 @@ def marginalised(
     space = leaving.space
     D, kept = space.size, MEMORY * space.size
     gradient = leaving.linearise(x)[1].ravel()
-    H = leaving.hessian()
+    H = leaving.lower_hessian()
     H[:kept, :kept] += prior.precision
-    gradient[:kept] += prior.at(space, x[:MEMORY])[1].ravel()
+    gradient[:kept] += slope.ravel()
     if limits is not None:
         excess = limits.excess(limits.values(x[:1]) + multipliers[:1] / STIFFNESS)
         gradient[:D] += STIFFNESS * limits.force(x[:1], excess)[0]
         _, rows, columns, values = limits.curvature(x[:1], excess != 0)
         H[rows, columns] += STIFFNESS * values
-    H[:D, :D] += _DAMPING * np.eye(D)  # its root may be unobserved
+    H.ravel()[: D * (len(H) + 1) : len(H) + 1] += _DAMPING  # its root may be unobserved
     factor, failed = lapack.dpotrf(H[:D, :D], lower=1)
     if failed:
         raise SolverError("the Hessian of the frame that leaves is not positive definite")
     right = np.concatenate([H[D:, :D], gradient[None, :D]]).T
     half, _ = lapack.dtrtrs(factor, right, lower=1)
     precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
-    slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
-    return MarginalPrior(x[1:].copy(), precision, slope)
+    precision = np.where(_lower(kept), precision, precision.T)  # the Hessian has zeros above its diagonal
+    return MarginalPrior(x[1:].copy(), precision, gradient[D:] - half[:, :-1].T @ half[:, -1])
+
+
+@cache
+def _lower(size: int) -> Mask:
+    return np.tri(size, dtype=bool)
 
 
 _DAMPING: Final = 1e-6
@@ -97,7 +104,8 @@ class FixedLagSmoother:
         self.frames, self.rate_hz, self._settings = frames, data.rate_hz, data.settings
         self._window, self._leaving = data.energy(frames), data.energy(LAGS)
         self.rows = {name: np.repeat(values[:1], frames, axis=0) for name, values in data.rows.items()}
-        for name in _weights(self.rows):
+        self._weights = [name for name in self.rows if name.startswith("w_")]
+        for name in self._weights:
             self.rows[name][:] = 0.0
         P = data.a_world.shape[1]
         self.a_world, self.w_acceleration = np.zeros((frames, P, 3)), np.zeros((frames, P))
@@ -127,14 +135,16 @@ class FixedLagSmoother:
         prior = MarginalPrior.none(self.space, self.x[1:LAGS])
         if self.inside[0]:
             self._leaving.bind(self._first_terms())
-            prior = marginalised(self.prior, self._leaving, self.limits, self.x[:LAGS], self._multipliers[:LAGS])
+            self._window.condition(self.prior)
+            slope, present = self._window.before(self.x)[1], (self.x[:LAGS], self._multipliers[:LAGS])
+            prior = marginalised(self.prior, slope, self._leaving, self.limits, *present)
         self.prior = prior
         for array in (*self.rows.values(), self.a_world, self.w_acceleration, self.inside, self._multipliers):
             array[:-1] = array[1:]
         for name, values in self.rows.items():
             if name in rows:
                 values[-1] = rows[name]
-            elif name in _weights(self.rows):
+            elif name in self._weights:
                 values[-1] = 0.0
         self.a_world[-1], self.w_acceleration[-1], self.inside[-1] = a_world, w_acceleration, True
         self.x = np.concatenate([self.x[1:], x[None]])
@@ -145,7 +155,7 @@ class FixedLagSmoother:
         self.x = np.repeat(x[None], self.frames, axis=0)
         self.inside[:] = False
         self._multipliers = np.zeros_like(self._multipliers)
-        for name in _weights(self.rows):
+        for name in self._weights:
             self.rows[name][:] = 0.0
         self.w_acceleration[:] = 0.0
         self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
@@ -225,7 +235,7 @@ class FixedLagSmoother:
     def _first_terms(self) -> FragmentData:
         """Observations of the first four frames, with the weights of terms that contain the first one."""
         rows = self._errors.weighted({name: values[:LAGS].copy() for name, values in self.rows.items()})
-        for name in _weights(rows):
+        for name in self._weights:
             rows[name][1:] = 0.0
         w = self.w_acceleration[1:3].copy()
         w[1:] = 0.0
@@ -273,7 +283,3 @@ class _RunningErrors:
         for name in self._constant_errors:
             out[name] = share * rows[name]
         return out
-
-
-def _weights(rows: Mapping[str, Array]) -> list[str]:
-    return [name for name in rows if name.startswith("w_")]

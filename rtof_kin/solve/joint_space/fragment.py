@@ -104,6 +104,8 @@ class MarginalPrior:
 
     def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
         """Return the energy and its gradient (3, D) by tangents at x. x: (3, 3 + 4A)."""
+        if np.array_equal(self.x, x):
+            return 0.0, self.slope.reshape(MEMORY, -1)
         d = space.difference(self.x, x).ravel()
         pulled = self.precision @ d
         force = (self.slope + pulled).reshape(MEMORY, -1)
@@ -221,10 +223,11 @@ class FragmentEnergy:
 
     def condition(self, prior: MarginalPrior) -> None:
         """Add a prior of the first frames to energy, gradient and Hessian, but not to `value`."""
-        self._prior, self._prior_at = prior, None
+        if prior is not self._prior:
+            self._prior, self._prior_at = prior, None
 
-    def _before(self, x: Array) -> tuple[float, Array]:
-        """The prior's energy and gradient, kept until another array is given."""
+    def before(self, x: Array) -> tuple[float, Array]:
+        """Return the prior's energy and gradient (3, D), kept until another array or prior is given."""
         if self._prior is None:
             return 0.0, np.zeros(0)
         if self._prior_at is None or self._prior_at[0] is not x:
@@ -249,7 +252,7 @@ class FragmentEnergy:
 
     def total(self, x: Array) -> float:
         """Return the energy."""
-        return sum(self._evaluated(x)) + self._before(x)[0]
+        return sum(self._evaluated(x)) + self.before(x)[0]
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient (N, D) in tangent coordinates, 1/m and 1/rad."""
@@ -257,7 +260,7 @@ class FragmentEnergy:
         self._run["pulled"]()
         gradient = self._columns.rows(self._gradient_now)
         if self._prior is not None:
-            gradient[:MEMORY] += self._before(x)[1]
+            gradient[:MEMORY] += self.before(x)[1]
         return gradient
 
     def linearise(self, x: Array) -> tuple[float, Array]:
@@ -270,7 +273,7 @@ class FragmentEnergy:
         gradient = self._columns.rows(self._gradient_now)
         if self._prior is None:
             return sum(terms), gradient
-        own, slope = self._before(x)
+        own, slope = self.before(x)
         self.add_to_first(self._prior.precision)
         gradient[:MEMORY] += slope
         return sum(terms) + own, gradient
@@ -307,15 +310,17 @@ class FragmentEnergy:
         """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
         self._filled = len(matrix)
         first = self._as_square(len(matrix))
-        first += np.tril(matrix)  # above the diagonal the view shows other columns: nothing is added there
+        # Above the diagonal the view shows other columns: nothing is added there.
+        first += matrix * _band_mask(len(matrix), self._matrix.band)
 
     def hessian(self) -> Array:
         """Return the whole Hessian (N D, N D)."""
-        out = self._as_square(self._matrix.size) * _band_mask(self._matrix.size, self._matrix.band)
-        diagonal = out.diagonal().copy()
-        out += out.T
-        np.fill_diagonal(out, diagonal)
-        return np.asarray(out)
+        lower = self.lower_hessian()
+        return np.asarray(lower + np.tril(lower, -1).T)
+
+    def lower_hessian(self) -> Array:
+        """Return the Hessian (N D, N D) on and below its diagonal; zeros above."""
+        return np.asarray(self._as_square(self._matrix.size) * _band_mask(self._matrix.size, self._matrix.band))
 
     def _as_square(self, size: int) -> Array:
         """Writable view of the first columns in which only entries of the band are those of the matrix."""
