@@ -42,7 +42,7 @@ def run(select: str, task: tuple[str, ...], cache: Path, out: Path) -> tuple[flo
     command = [sys.executable, "-c", _CODE.format(select=select), "reconstruct", DEMO, *task, "-o", str(out)]
     before, began = os.times(), time.perf_counter()
     subprocess.run(
-        [*command, "--overwrite", "--no-figures"],
+        [*command, "--overwrite"],
         check=True,
         stdout=subprocess.DEVNULL,
         env={**os.environ, "RTOF_KIN_CACHE": str(cache)},

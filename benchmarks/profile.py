@@ -131,7 +131,7 @@ def main() -> None:
         place = Path(temporary)
         demo, short = model_path("demo"), place / "short"
         Recording.load(demo).between(0.0, 8.0).save(short)
-        common = "-o", str(place / "out"), "--overwrite", "--no-figures", "--threads"
+        common = "-o", str(place / "out"), "--overwrite", "--threads"
         measure("8 s, cold", "reconstruct", str(short), *common, "1", cache=place / "cache")
         for name, recording in (("8 s", short), ("24 s", demo)):
             measure(name, "reconstruct", str(recording), *common, "1")

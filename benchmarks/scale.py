@@ -28,7 +28,7 @@ from rtof_kin.batch.run import SHARE, Batch, Place, run_batch, write_tables
 from rtof_kin.core.jobs import Processes
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak, resident_memory
 
-CHAIN = "reconstruct --no-figures, analyse --no-figures, report"
+CHAIN = "reconstruct, report"
 SIZES = 10**4, 10**6
 CUTS_S = 2.0, 10.0
 RESULT = Path(__file__).parent / "results" / "scale.md"
@@ -238,8 +238,8 @@ def limits(cost: Cost, driver: Driver, table: TableCost, minutes: float) -> list
         f"the index {table.index_mb:.0f} MB. Shards keep their "
         "rows apart, but the table is one: above some 10^5 recordings give each study an OUT of its own.",
         f"- Files. {SIZES[1]:,} recordings are as many folders of about 25 files: the metadata server of a "
-        "shared file system, and its number of inodes, are the limit, not the bytes. `--no-figures` and a "
-        "chain without `export` write the fewest. Recordings in one folder for each person or day, as "
+        "shared file system, and its number of inodes, are the limit, not the bytes. A chain "
+        "without `export` writes the fewest. Recordings in one folder for each person or day, as "
         "`study/person/take`, keep folders small; OUT has the same.",
         "- Reading. To go on, workers read all recordings once to compare their contents: their size divided "
         "by the bandwidth of the file system, whatever the number of cores.",

@@ -17,7 +17,8 @@ from real_camera_truth import Truth
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
-from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, views
+from rtof_kin.protocols.measures import STAGE_COLORS, views
+from rtof_kin.reporting.document import TRUTH
 from rtof_kin.vision.video import read_video
 
 if TYPE_CHECKING:

@@ -90,7 +90,7 @@ def check_plain(environment: Path, folder: Path) -> None:
     refused = subprocess.run([script, "train", demo, "-o", "none.npz"], capture_output=True, text=True, cwd=folder)
     assert refused.returncode == 2, refused
     assert 'needs torch, which is not installed: pip install "rtof-kin[train]"' in refused.stderr, refused.stderr
-    run(script, "run", "--demo", "-o", "out", "--no-figures", cwd=folder)
+    run(script, "run", "--demo", "-o", "out", cwd=folder)
     assert (folder / "out" / "motion.h5").is_file()
 
 

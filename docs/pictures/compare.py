@@ -13,7 +13,7 @@ ANGLES = [f"{side}_{name}" for side in ("right", "left") for name in ("knee_flex
 
 def make(studio: Studio) -> list[Path]:
     camera, page = studio.folder / "camera_alone", studio.folder / "comparison"
-    studio.rtof_kin("reconstruct", model_path("demo"), "--mode", "rto", "-o", camera, "--no-figures")
+    studio.rtof_kin("reconstruct", model_path("demo"), "--mode", "rto", "-o", camera)
     studio.rtof_kin("compare", studio.demo, camera, "--angles", ",".join((*ANGLES, "pelvis_tilt")), "-o", page)
     picture = studio.folder / "compare.png"
     studio.photograph(page / "comparison.html", picture, WIDTH, 2 * HEIGHT)

@@ -36,7 +36,7 @@ def make(studio: Studio) -> list[Path]:
         for place, (name, rate_hz) in enumerate(TEMPI.items()):
             folder = studio.folder / "walks" / day / name
             _recorded(rate_hz + 0.2 * number, factor, 10 * number + place + 4, day).save(folder)
-            studio.rtof_kin("reconstruct", folder, "-o", visits / day / name, "--no-figures")
+            studio.rtof_kin("reconstruct", folder, "-o", visits / day / name)
     (visits / "follow.toml").write_text(PLAN, encoding="utf-8")
     print(studio.printed("compare", visits, "--measures", MEASURES, "-o", page))
     picture = studio.folder / "follow.png"

@@ -44,7 +44,7 @@ ENTRIES = (
         "rtof-kin run walk.mp4 dots/ --height 1.72 -o out/walk",
         "From a video and sensor files to a report in one command ([how](phone.md)); `run --demo` does the last "
         "steps on the recording of the package. The first lines say how good it is, and cautions:",
-        printed=lambda studio: text_of(studio, "run", "--demo", "-o", studio.folder / "printed", "--no-figures"),
+        printed=lambda studio: text_of(studio, "run", "--demo", "-o", studio.folder / "printed"),
     ),
     Entry(
         "rtof-kin report out/demo",
@@ -98,7 +98,7 @@ ENTRIES = (
     ),
     Entry(
         "rtof-kin reconstruct REC -o out/rec",
-        "Figures of every result, beside [the files](output.md); here the stages over the truth.",
+        "[The files](output.md) of a result; here the skeletons of the demo over the truth.",
         "skeletons.png",
         "Skeletons of the demo over the truth",
     ),

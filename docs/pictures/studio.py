@@ -44,7 +44,7 @@ class Studio:
 
     @cached_property
     def demo(self) -> Path:
-        """Output of the demo: camera and eight sensors, with figures."""
+        """Output of the demo: camera and eight sensors."""
         self.rtof_kin("run", "--demo", "-o", self.folder / "demo")
         return self.folder / "demo"
 

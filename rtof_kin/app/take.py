@@ -180,7 +180,7 @@ def write_files(formats: tuple[str, ...], folder: Path, path: Path) -> None:
         with MotionReader(folder / MOTION) as motion:
             write_motion_files(new, motion, formats)
     else:
-        write_analysis(folder / MOTION, new, AnalysisSettings(), figures=False)
+        write_analysis(folder / MOTION, new, AnalysisSettings(figures=False))
     if formats == ("c3d",):
         (new / "motion.c3d").rename(path)
     else:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.table import Table
 
-from rtof_kin.cli.options import SOLVER, Fields, Figures, File, Model, Overwrite, Paper, Seed, Threads, command, written
+from rtof_kin.cli.options import SOLVER, Fields, File, Model, Overwrite, Paper, Seed, Threads, command, written
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress, say
 from rtof_kin.core.choices import Repeated
@@ -121,7 +121,7 @@ def study(
     seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
     task: Model,
     threads: Threads = None,
-    figures: Figures = True,
+    figures: Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")] = True,
     settings: Annotated[ReconstructionSettings, SOLVER],
     paper: Paper = False,
     overwrite: Overwrite = False,

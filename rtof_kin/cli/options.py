@@ -178,7 +178,6 @@ def written(what: str, metavar: str = "OUT") -> Parameter:
 Output = Annotated[Path, written("folder to write")]
 File = Annotated[Path, written("file to write", "FILE")]
 Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote there")]
-Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")]
 Model = Annotated[ReconstructionTask, Fields("model")]
 PERSON: Final = "subject update_subject"
 """Fields of `ReconstructionTask` for the person's file, of commands that may update it."""

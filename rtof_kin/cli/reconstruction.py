@@ -60,7 +60,7 @@ def reconstruct(
     *,
     output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
     task: Annotated[
-        ReconstructionTask, Fields(f"mode model lift layout calibrate calibration events figures threads {PERSON}")
+        ReconstructionTask, Fields(f"mode model lift layout calibrate calibration events threads {PERSON}")
     ],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
@@ -75,8 +75,8 @@ def reconstruct(
     """Reconstruct the motion of a recording, or of a marker trial.
 
     RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; docs/recording.md describes
-    it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
-    recordings up to two minutes figures. Longer ones are reconstructed in parts, in bounded memory.
+    it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS.
+    Recordings of more than two minutes are reconstructed in parts, in bounded memory.
 
     With --calibrate-only the delay of the video, the mounting of the sensors, bone lengths and landmark offsets of the
     detector are estimated, without a pose of calibration: each quantity is printed with its standard deviation, and

@@ -63,12 +63,10 @@ def run(
     ],
     fetch_models: FetchModels = None,
     second: Annotated[SecondCamera, Fields("second second_person second_camera synchronised", group="Second camera")],
-    task: Annotated[
-        ReconstructionTask, Fields(f"model lift calibration events figures threads {PERSON}", group="Motion")
-    ],
+    task: Annotated[ReconstructionTask, Fields(f"model lift calibration events threads {PERSON}", group="Motion")],
     calibrate: Annotated[bool | None, Parameter(group="Motion")] = None,
     analysis: Annotated[
-        AnalysisSettings, Fields("sex repetitions from_standing", weight_kg="weight", group="Analysis")
+        AnalysisSettings, Fields("sex repetitions from_standing figures", weight_kg="weight", group="Analysis")
     ],
     settings: Annotated[ReconstructionSettings, Fields(CERTIFIED, group="Solver", defaults={"certificate": True})],
     paper: Paper = False,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import Fields, Figures, Overwrite, command, written
+from rtof_kin.cli.options import Fields, Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files, say
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.recording.labels import Session
@@ -24,11 +24,10 @@ def report(
         written("page; default: report.html beside the motion, where no tables or scores are asked for", "FILE"),
     ] = None,
     analysis: Annotated[
-        AnalysisSettings, Fields("sex repetitions from_standing height", weight_kg="weight", group="Analysis")
+        AnalysisSettings, Fields("sex repetitions from_standing height figures", weight_kg="weight", group="Analysis")
     ],
     tables: Annotated[Path | None, Parameter(name="--analysis", metavar="FOLDER", group="Analysis")] = None,
     gait_reference: Annotated[Path | None, Parameter(metavar="FILE", group="Analysis")] = None,
-    figures: Figures = True,
     session: Annotated[Session, Fields("operator date place protocol", subject="code", group="Labels")],
     overwrite: Overwrite = False,
 ) -> None:
@@ -69,7 +68,7 @@ def report(
     if gait_reference is not None:
         documents.append(score_motion(motion, gait_reference, analysis.from_standing))
     if tables is not None:
-        show(write_analysis(motion, tables, analysis, figures, overwrite, documents=documents), out)
+        show(write_analysis(motion, tables, analysis, overwrite, documents=documents), out)
     for document in documents:
         show(document, out)
     if tables is not None:

@@ -24,14 +24,14 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.document import Document, Figure, subplots
-from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, plot_skeleton, views
+from rtof_kin.reporting.document import ESTIMATE, TRUTH, Document, Figure, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 NAMES: Final = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}  #: Modes, as figures call them
 _SNAPSHOTS: Final = 5
+STAGE_COLORS: Final = {"lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": ESTIMATE}
 
 
 class CameraProtocol(ABC):
@@ -248,3 +248,23 @@ def _skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: floa
             ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
     figure.suptitle(f"{_where(outcome, key)}: estimate over the truth (green), roots together")
     return figure
+
+
+def views(R_camera_world: Array) -> list[tuple[Array, str]]:
+    """Return the projections (2, 3) of a camera's view (3, 3) and of the view from its right, with axis labels."""
+    R = R_camera_world
+    looks_down = np.hypot(*R[2, :2]) < 0.1  # then the top of the image is ahead
+    forward = -R[1] if looks_down else R[2].copy()
+    forward[2] = 0.0
+    forward /= np.linalg.norm(forward)
+    up = np.array([0.0, 0.0, 1.0])
+    right = np.cross(forward, up)
+    return [(np.stack([right, up]), "right"), (np.stack([forward, up]), "away from camera")]
+
+
+def plot_skeleton(ax: Any, points: Array, parents: Sequence[int], color: str, label: str | None = None) -> None:
+    """Draw the bones between joints (J, 2)."""
+    for child, parent in enumerate(parents):
+        if parent >= 0:
+            x, y = points[[parent, child]].T
+            ax.plot(x, y, color=color, lw=2, alpha=0.85, label=label if child == 1 else None)

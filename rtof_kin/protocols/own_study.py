@@ -41,8 +41,7 @@ from rtof_kin.protocols.angles import HARDLY, angle_document, clock_shift
 from rtof_kin.protocols.tables import Table
 from rtof_kin.reporting import document
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Document, Figure, Section, label_panel, subplots
-from rtof_kin.reporting.figures import ESTIMATE, TRUTH
+from rtof_kin.reporting.document import ESTIMATE, TRUTH, Document, Figure, Section, label_panel, subplots
 from rtof_kin.reporting.html import render
 
 if TYPE_CHECKING:

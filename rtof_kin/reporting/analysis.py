@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -108,7 +108,6 @@ def write_analysis(
     motion: str | Path,
     folder: str | Path,
     settings: AnalysisSettings,
-    figures: bool = True,
     overwrite: bool = False,
     inputs: Mapping[str, str] | None = None,
     documents: Sequence[Document] = (),
@@ -128,12 +127,19 @@ def write_analysis(
     subject = {} if summary is None else summary.subject
     weight_kg = settings.weight_kg if settings.weight_kg is not None else subject.get("mass_kg")
     sex = settings.sex or (subject.get("sex") if weight_kg is not None else None)
-    found = analyse(motion, **asdict(replace(settings, weight_kg=weight_kg, sex=sex)))
+    found = analyse(
+        motion,
+        weight_kg=weight_kg,
+        height=settings.height,
+        sex=sex,
+        repetitions=settings.repetitions,
+        from_standing=settings.from_standing,
+    )
     made = document(found, None if summary is None else summary.sensors)
     with new_folder(folder, MARKER, overwrite, inputs) as new:
         for one, inner in ((made, new), *((other, new / other.name) for other in documents)):
             inner.mkdir(exist_ok=True)
-            write_files(one if figures else replace(one, figures=()), inner)
+            write_files(one if settings.figures else replace(one, figures=()), inner)
     return made
 
 

@@ -46,6 +46,7 @@ GRADE_WORDS: Final = {
     Grade.INFORMATION: "for information",
 }
 """What a grade means to the reader of a page."""
+ESTIMATE, TRUTH = "#c0392b", "#2e8b57"  #: Colours of figures
 _LEAST: Final = 16  # characters of a column of words on a narrow terminal, if it has longer ones
 _CHARTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")

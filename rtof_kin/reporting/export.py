@@ -12,7 +12,6 @@ ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the fre
 summary.json                  mode, verdict, settings, solver, limit violations, errors against the
                               reference, inputs and audit
 certificate.csv               errors of left-out sensors, frame by frame, where they were asked for
-figures/*.png                 see `rtof_kin.reporting.figures`
 ============================  ==================================================================
 
 OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.formats.motion_files`.
@@ -35,7 +34,6 @@ from rtof_kin.clinical.angles import angle_blocks
 from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.core.packages import can_draw
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, MeasurementsWriter, measurements_path
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.trial_results import Beside, TrialResults
@@ -58,7 +56,6 @@ def export(
     found: Reconstruction | Iterable[Reconstruction],
     folder: str | Path,
     overwrite: bool = False,
-    figures: bool = True,
     formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
     run: Callable[[], Mapping[str, Any]] | None = None,
@@ -67,11 +64,9 @@ def export(
 
     >>> from rtof_kin import Recording, export, reconstruct
     >>> result = reconstruct(Recording.load("recording"), mode="sf2")
-    >>> found = export(result, "out/motion", figures=False)
+    >>> found = export(result, "out/motion")
     >>> found.frames
     60
-
-    Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
 
     Args:
         found: of `reconstruct`, or the parts of `reconstruct_in_parts`, none of which is kept.
@@ -95,13 +90,12 @@ def export(
         with ExitStack() as files:
             for part in parts:
                 if statistics is None:
-                    statistics, whole = ReconstructionStatistics(part), part
+                    statistics = ReconstructionStatistics(part)
                     about: dict[str, Any] = {"mode": part.mode, "first_frame": part.recording.first_frame}
                     motion = files.enter_context(MotionWriter(temporary / MARKER, part.motion.skeleton, **about))
                     measurements = files.enter_context(MeasurementsWriter(temporary / MEASUREMENTS))
                 else:
                     statistics.add(part)
-                    whole = None
                 motion.append(part.motion)
                 measurements.append(measurements_of(part))
                 del part  # before the next one is made
@@ -115,10 +109,6 @@ def export(
             write_motion_files(temporary, reader, formats, beside)
         if statistics.certificate is not None and statistics.certificate.left_out:
             certified.write_frames(statistics.certificate, temporary)
-        if figures and whole is not None and can_draw():
-            from rtof_kin.reporting.figures import write_figures
-
-            write_figures(whole, temporary / "figures")
     return statistics
 
 

@@ -37,8 +37,7 @@ from rtof_kin.inertial.physics import check_log
 from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.document import subplots
-from rtof_kin.reporting.figures import ESTIMATE, TRUTH
+from rtof_kin.reporting.document import ESTIMATE, TRUTH, subplots
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
 from rtof_kin.vision.keypoint_files import read_detector_file

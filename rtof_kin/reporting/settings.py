@@ -22,3 +22,4 @@ class AnalysisSettings:
     """Movement that is counted."""
     from_standing: bool = False
     """Angles of trunk and legs relative to half a second or more of the person's quiet standing."""
+    figures: bool = True  #: Draw figures, where matplotlib is installed

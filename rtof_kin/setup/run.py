@@ -136,10 +136,9 @@ def run(
     step(MOTION, solved, own, str(task), str(settings), str(known), *given)
     step(
         ANGLES,
-        lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),
+        lambda *made: write_analysis(folder / MOTION, made[0], analysis, *made[1:]),
         folder / MOTION,
         str(analysis),
-        task.figures,
     )
     _write_page(folder, analysis, kept)
     said = tuple(note for note in notes.splitlines() if note.partition(": ")[2].startswith(ABOUT))
@@ -236,7 +235,6 @@ def reconstruct_folder(
             person.learning(reconstruct_in_parts(informed, **how), source.facts, body, label),
             output,
             overwrite,
-            task.figures,
             inputs=inputs,
             run=lambda: record | {"environment": environment()},
         )

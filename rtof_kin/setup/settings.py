@@ -82,7 +82,6 @@ class ReconstructionTask:
     events: Path | None = None
     """Foot strikes and foot offs on the recording's clock, of a .c3d or a table of Visual3D (.txt, .tsv), that replace
     those that are found."""
-    figures: bool = True  #: Draw figures, where matplotlib is installed
     threads: int | None = field(default=None, compare=False, repr=False)
     """Processor cores that are used: parts of a recording of more than two minutes are solved side by side; default:
     all that this process may use."""

@@ -29,7 +29,6 @@ from rtof_kin.recording.index import read_corrections, write_corrections
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.export import export
 from rtof_kin.setup.run import run
-from rtof_kin.setup.settings import ReconstructionTask
 from rtof_kin.simulation.simulate import write_raw_files
 
 pytest.importorskip("nicegui")
@@ -67,7 +66,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     demo = Recording.load(model_path("demo"))
     short = demo.between(demo.start_s, demo.start_s + 1.0)
     short.save(folder / "recording")
-    export(reconstruct(Recording.load(folder / "recording"), mode="lift"), folder / "motion", figures=False, formats=())
+    export(reconstruct(Recording.load(folder / "recording"), mode="lift"), folder / "motion", formats=())
     filmed(folder / "files" / "walk.mp4", 60)
     return folder
 
@@ -130,7 +129,7 @@ def test_the_page_is_of_this_result_and_shows_what_was_corrected(take: Path) -> 
     start = recording.start_s + 0.2
     made = Correction("exchange_sides", start_s=start, stop_s=start + 0.2)
     result = reconstruct(replace(recording, corrections=(made,)), mode="lift")
-    export(result, take / "motion", figures=False, formats=(), overwrite=True)
+    export(result, take / "motion", formats=(), overwrite=True)
     write_review(take)
     page = (take / REVIEW).read_text()
     assert f'"mended":[[{made.start_s}' in page
@@ -141,7 +140,6 @@ def solved(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: Any) -> dict
     sent: list[Any] = []
     monkeypatch.setattr(module, "end_with_parent", lambda: None)
     monkeypatch.setattr(module, "run", partial(run, mode="lift"))
-    monkeypatch.setattr(module, "ReconstructionTask", partial(ReconstructionTask, figures=False))
     sender: Any = SimpleNamespace(send=sent.append)
     module._reconstruct(str(folder), Store.change(folder, **values), sender)
     assert sent[-1]["state"] in (State.DONE, State.ATTENTION), sent[-1]

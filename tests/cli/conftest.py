@@ -72,7 +72,7 @@ def short(folder: Path) -> Path:
 @pytest.fixture(scope="session")
 def reconstructed(short: Path, folder: Path) -> Path:
     """The output folder of `reconstruct` on it."""
-    assert main(["reconstruct", str(short), "-o", str(folder / "out"), "--no-figures"]) == 0
+    assert main(["reconstruct", str(short), "-o", str(folder / "out")]) == 0
     return folder / "out"
 
 

@@ -21,7 +21,7 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     labels = {"name": "Roe, left knee", "session": session, "notes": "Jane limps", "acknowledgement": "by Ms Roe"}
     replace(two, keypoints=two.video[:60], **labels).save(folder)  # type: ignore[arg-type]
     (folder / "jane.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
-    assert cli("reconstruct", folder, "-o", out, "--mode", "sf2", "--no-figures").code == 0
+    assert cli("reconstruct", folder, "-o", out, "--mode", "sf2").code == 0
     summary = json.loads((out / "summary.json").read_text())
     summary["warnings"] = [f"{folder}/jane.mp4: Jane is far away", "Maud.toml is of another person"]
     summary["inputs"]["session"]["subject"] = "Maud"  # of the person's file
@@ -45,7 +45,7 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     assert kept["run"] == summary["run"]
     again = tmp_path / "again"
     bare = tmp_path / "unpacked" / "recording"
-    assert cli("reconstruct", bare, "-o", again, "--mode", "sf2", "--no-figures").code == 0
+    assert cli("reconstruct", bare, "-o", again, "--mode", "sf2").code == 0
     assert (again / "motion.h5").read_bytes() == members["result/motion.h5"]
 
 

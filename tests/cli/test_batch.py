@@ -17,7 +17,7 @@ import pytest
 
 from rtof_kin.recording.recording import Recording
 
-CHAIN = "reconstruct --no-figures, report --no-figures --code 'A, B'"
+CHAIN = "reconstruct, report --no-figures --code 'A, B'"
 
 
 @pytest.fixture(scope="module")

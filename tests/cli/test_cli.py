@@ -168,14 +168,14 @@ def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(short: Path,
     assert Recording.load(fixed).video.names == Recording.load(short).video.names
     assert "overwrite" in cli(*command).err
     out = tmp_path / "out"
-    assert cli("reconstruct", short, "-o", out, "--no-figures", "--calibration", found).code == 0
+    assert cli("reconstruct", short, "-o", out, "--calibration", found).code == 0
 
 
 def test_reconstruct_takes_the_mode_of_what_was_recorded(short: Path, tmp_path: Path, cli: Any) -> None:
     both = Recording.load(short)
     few = both.video[:60]
     replace(both, keypoints=few, imus=None, calibration=None).save(tmp_path / "seen")
-    assert cli("reconstruct", tmp_path / "seen", "-o", tmp_path / "out", "--no-figures").code == 0
+    assert cli("reconstruct", tmp_path / "seen", "-o", tmp_path / "out").code == 0
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["mode"] == "rto"
     assert "reconstructed motion" in cli("inspect", tmp_path / "out").out
     assert both.usual_mode == "rtof"
@@ -191,7 +191,7 @@ def test_points_of_other_models_count_beside_the_own_lift_and_are_named(short: P
     np.savez(other, joints=at.p_world_joint)
     np.savez(wrong, times=at.times, names=np.array(at.names), p_world=at.p_world_joint * [-1, 1, 1])
     recording.save(tmp_path / "seen")
-    options = ("--mode", "lift", "--no-figures", "-o")
+    options = ("--mode", "lift", "-o")
     alone = cli.ok("reconstruct", tmp_path / "seen", *options, tmp_path / "alone")
     lifts = ("--lift", names, "--lift", f"{other}:joints", "--lift", wrong)
     done = cli.ok("reconstruct", tmp_path / "seen", *options, tmp_path / "out", *lifts)
@@ -234,7 +234,7 @@ def test_a_lift_stands_beside_sensors_without_a_video(short: Path, tmp_path: Pat
     at = at_times(recording.truth, recording.times[::2])
     np.savez(given, times=at.times - 7.0, names=np.array(at.names), p_world=at.p_world_joint)
     recording.save(tmp_path / "sensed")
-    command = ("reconstruct", tmp_path / "sensed", "--no-figures", "-o")
+    command = ("reconstruct", tmp_path / "sensed", "-o")
     cli.ok(*command, tmp_path / "out", "--lift", given).says(
         "lift joints.npz (the skeleton's own joints): in m (scale 1"
     )
@@ -252,14 +252,13 @@ def test_a_mistyped_choice_is_one_line_with_what_was_meant(cli: Any) -> None:
 def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: Any) -> None:
     recording, out = wrong / "sensors_only", tmp_path / "out"
     done = cli.ok("reconstruct", recording, "-o", out, "--mode", "imu")
-    assert (out / "figures" / "skeletons.png").is_file()
     summary = json.loads((out / "summary.json").read_text())
     assert summary["root_drift_sigma_m"]["last_frame"] > 0
     score = summary["metrics"]["imu"]["mpjpe_rr_mm"]
     for text in (done.out, cli("evaluate", out, "--truth", recording).out):
         assert re.search(rf"\bimu\W+{score:.1f}\b", text)
         assert BEGUN_TOGETHER in text
-    options = ("-o", tmp_path / "lift", "--mode", "lift", "--no-figures")
+    options = ("-o", tmp_path / "lift", "--mode", "lift")
     assert cli("reconstruct", wrong / "camera_only", *options).code == 0
 
 

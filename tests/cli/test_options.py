@@ -27,7 +27,7 @@ from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 def summary_after(cli: Any, recording: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:
     """Summary and output of `reconstruct` with options."""
-    done = cli.ok("reconstruct", recording, "-o", out, "--no-figures", "--frames", "16", *options)
+    done = cli.ok("reconstruct", recording, "-o", out, "--frames", "16", *options)
     return json.loads((out / "summary.json").read_text()), done.out
 
 

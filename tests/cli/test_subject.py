@@ -24,7 +24,7 @@ from rtof_kin.recording.subject import read_subject
 
 def test_a_recording_makes_the_file_and_another_one_uses_it(short: Path, tmp_path: Path, cli: Any) -> None:
     file, take = tmp_path / "P07.toml", Recording.load(short)
-    options = ("--mode", "lift", "--no-figures", "--subject", file)
+    options = ("--mode", "lift", "--subject", file)
     done = cli.ok("reconstruct", short, "-o", tmp_path / "a", *options, "--update-subject")
     done.says("subject P07: joint_offsets_m.LeftLeg: ")
     leg = take.skeleton.index("LeftLeg")[0]
@@ -51,7 +51,7 @@ def test_a_recording_makes_the_file_and_another_one_uses_it(short: Path, tmp_pat
 def test_the_file_of_another_person_is_named_first(short: Path, tmp_path: Path, cli: Any) -> None:
     file = tmp_path / "P07.toml"
     file.write_text('subject = "P07"\nheight_m = { value = 1.2 }\n')
-    options = ("--mode", "lift", "--no-figures", "--subject", file)
+    options = ("--mode", "lift", "--subject", file)
     done = cli.ok("reconstruct", short, "-o", tmp_path / "out", *options, "--update-subject")
     sentence = "P07.toml is likely of another person and is not used: height_m 1.73"
     done.says(f"subject P07: nothing is merged: {sentence}")

@@ -73,10 +73,10 @@ def results() -> Results:
 def test_the_output_of_reconstruct_is_the_old_or_the_new(results: Results, tmp_path: Path) -> None:
     old, new = results
     out, kept = tmp_path / "place" / "out", tmp_path / "kept"
-    export(new, out, figures=False)
+    export(new, out)
     expected = tree(out)
     shutil.rmtree(out)
-    export(old, out, figures=False)
+    export(old, out)
     before = tree(out)
     assert before != expected
     shutil.copytree(out, kept)
@@ -87,7 +87,7 @@ def test_the_output_of_reconstruct_is_the_old_or_the_new(results: Results, tmp_p
             shutil.copytree(kept, out)
 
     def act() -> None:
-        export(new, out, overwrite=True, figures=False)
+        export(new, out, overwrite=True)
 
     for call, raised in each_failure(out.parent, act, KINDS, prepare):
         check_error(raised, str(out), call)
@@ -98,7 +98,7 @@ def test_the_output_of_reconstruct_is_the_old_or_the_new(results: Results, tmp_p
 def test_the_page_of_report_is_the_old_or_the_new(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    export(results[0], tmp_path / "out", figures=False)
+    export(results[0], tmp_path / "out")
     page = tmp_path / "pages" / "page.html"
     monkeypatch.setattr("rtof_kin.reporting.page.report", lambda *_: "new" * 10_000)
     codes: list[int] = []

@@ -26,7 +26,6 @@ def run(name: str, *arguments: object, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtof_kin.reporting.figures.write_figures", lambda *_: [])
     monkeypatch.setattr("rtof_kin.setup.init.write_frames_picture", lambda path, *_: path.write_bytes(b""))
 
 

@@ -19,7 +19,7 @@ def modules_after(*statements: str) -> list[set[str]]:
 def test_a_recording_is_reconstructed_without_torch(tmp_path: Path) -> None:
     demo = Recording.load(model_path("demo"))
     replace(demo, keypoints=demo.video[600:632], truth=None).save(tmp_path / "short")
-    command = ["reconstruct", str(tmp_path / "short"), "-o", str(tmp_path / "out"), "--no-figures"]
+    command = ["reconstruct", str(tmp_path / "short"), "-o", str(tmp_path / "out")]
     code = f"import sys\nfrom rtof_kin.cli import main\nassert main({command}) == 0"
     code += "\nimport lifting.streaming, rtof_kin.live.estimator, rtof_kin.app.server"
     code += "\nassert 'torch' not in sys.modules"

@@ -121,7 +121,7 @@ def test_the_report_says_who_corrected_what_and_the_motion_keeps_it(short: Recor
     folder = written(short, tmp_path / "a", f'kind = "leave_out"\nwhat = "image"\nstop_s = {start + 0.2}', squat)
     result = reconstruct(Recording.load(folder), mode="lift")
     assert [one.kind for one in result.motion.corrections] == ["leave_out", "repetition"]
-    export(result, tmp_path / "out", figures=False, formats=())
+    export(result, tmp_path / "out", formats=())
     page = report(tmp_path / "out")
     assert "Corrected by hand 2 times" in page
     assert "by AB, 2026-11-28T10:15: a helper" in page

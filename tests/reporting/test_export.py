@@ -27,7 +27,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting import export as exporting
-from rtof_kin.reporting import figures
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import headline
 from rtof_kin.reporting.export import export, results_of, summary
@@ -64,7 +63,7 @@ def result() -> Reconstruction:
 @pytest.fixture(scope="module")
 def folder(result: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("export") / "out"
-    export(result, folder, figures=False)
+    export(result, folder)
     return folder
 
 
@@ -77,15 +76,10 @@ def strict_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=reject)
 
 
-def test_all_files_are_written_and_figures_on_request(
-    result: Reconstruction, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_files_are_written(result: Reconstruction, folder: Path, tmp_path: Path) -> None:
     assert {path.name for path in folder.iterdir()} == FILES
     assert all(strict_json(path) for path in folder.glob("*.json"))
-    written: list[str] = []
-    monkeypatch.setattr(figures, "write_figures", lambda result, folder: written.append(folder.name))
     export(result, tmp_path / "out", formats=("osim", "mot", "trc"))
-    assert written == ["figures"]
     names = {path.name for path in (tmp_path / "out").iterdir()}
     pieces = {"motion_1.mot", "motion_2.mot"}  # one for each side of the gap
     assert names >= pieces | {"skeleton.osim", "motion.trc", "motion.h5"}

@@ -18,7 +18,7 @@ from rtof_kin.setup.settings import ReconstructionTask
 def test_events_of_a_file_are_corrections_of_the_motion(tmp_path: Path) -> None:
     recording = planted.recording(planted.moving(SkeletonModel.default(), 12))
     start, table = recording.times[0], tmp_path / "events.tsv"
-    task = ReconstructionTask(mode="sf2", events=table, figures=False)
+    task = ReconstructionTask(mode="sf2", events=table)
     table.write_text(f"LHS\n{start + 0.1:.3f}\n")
     found = reconstruct_folder(recording, tmp_path / "out", task=task, settings=ReconstructionSettings())
     with MotionReader(tmp_path / "out") as motion:
