@@ -1,11 +1,12 @@
 """Human3.6M (Ionescu et al., TPAMI 2014) as `Recording`s: 17 joints, 50 Hz, four cameras, no IMUs.
 
 The data are available from their owners for academic use; this package has none of them. The archives that
-VideoPose3D (Pavllo et al., CVPR 2019) makes of them are read from one folder::
+VideoPose3D (Pavllo et al., CVPR 2019) makes of them, converted to plain arrays by ``examples/convert_pickles.py``, are
+read from one folder::
 
-    data_3d_h36m.npz              positions_3d: subject -> action -> (T, 32, 3) m, world z up
-    data_2d_h36m_<keypoints>.npz  positions_2d: subject -> action -> for each camera (T', 17, 2) px
-                                  metadata: num_joints, keypoints_symmetry, layout_name
+    data_3d_h36m.npz              positions_3d/SUBJECT/ACTION          (T, 32, 3) m, world z up
+    data_2d_h36m_<keypoints>.npz  positions_2d/SUBJECT/ACTION/CAMERA   (T', 17, 2) px, cameras 0 to 3
+                                  metadata/num_joints, keypoints_symmetry, layout_name
 
 where ``<keypoints>`` is ``gt`` (projected), ``cpn_ft_h36m_dbb`` or ``detectron_ft_h36m`` (detected), and a
 file of cameras, see `rtof_kin.datasets.human36m_files`. A recording ends with the shorter of the two.

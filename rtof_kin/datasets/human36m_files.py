@@ -1,9 +1,9 @@
-"""VideoPose3D's archives of Human3.6M, entry by entry, each checked when requested."""
+"""VideoPose3D's archives of Human3.6M as plain arrays, each read and checked when requested."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -14,8 +14,8 @@ from pydantic import BeforeValidator, ConfigDict
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
+from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Matrix3, Quaternion, Vector2, Vector3, Vector5
-from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_json, read_text
 from rtof_kin.data.camera import Camera
 
@@ -208,21 +208,20 @@ class Archives:
         )
 
     @cached_property
-    def all_positions(self) -> Mapping[str, Mapping[str, Any]]:
-        """Entries by subject and action; `positions` checks them."""
-        (positions,) = read_object_npz(self.path_3d, ("positions_3d",))
-        return _by_subject(self.path_3d, "positions_3d", positions)
+    def all_positions(self) -> Mapping[str, Mapping[str, Sequence[str]]]:
+        """Names of arrays by subject and action; `positions` reads and checks them."""
+        return _by_subject(self.path_3d, "positions_3d")
 
     @cached_property
-    def all_keypoints(self) -> Mapping[str, Mapping[str, Any]]:
-        """Entries by subject and action; `keypoints` checks them."""
+    def all_keypoints(self) -> Mapping[str, Mapping[str, Sequence[str]]]:
+        """Names of the arrays of all cameras by subject and action; `keypoints` reads and checks them."""
         if not self.path_2d.is_file():
             start = "data_2d_h36m_"
             known = [p.stem.removeprefix(start) for p in sorted(self.root.glob(f"{start}*.npz"))]
             raise UnknownNameError(f"keypoints in {self.root}", [self.kind], known or ["none"])
-        positions, metadata = read_object_npz(self.path_2d, ("positions_2d", "metadata"))
-        _check_metadata(self.path_2d, metadata)
-        return _by_subject(self.path_2d, "positions_2d", positions)
+        found = _by_subject(self.path_2d, "positions_2d")
+        _check_metadata(self.path_2d)
+        return found
 
     @cached_property
     def all_cameras(self) -> Mapping[str, Mapping[int, Camera]]:
@@ -231,19 +230,19 @@ class Archives:
 
     def positions(self, subject: str, action: str) -> Array:
         """Return (T, 17, 3) m, world z up; NaN where not finite."""
-        value = _entry(self.path_3d, self.all_positions, subject, action)
-        p = _numbers(self.path_3d, f"{subject} {action!r}", value, (32, 3))[:, JOINTS_OF_32]
+        (name, *_) = _entry(self.path_3d, self.all_positions, subject, action)
+        p = _numbers(self.path_3d, f"{subject} {action!r}", name, (32, 3))[:, JOINTS_OF_32]
         if not np.isfinite(p).all(axis=(1, 2)).any():
             raise FileFormatError(self.path_3d, f"{subject} {action!r}: in no frame are all joints finite")
         return p
 
     def keypoints(self, subject: str, action: str, camera: int) -> Array:
         """Return (T', 17, 2) px of camera 0 to 3; NaN where not finite. T' may differ from T by some frames."""
-        cameras = _entry(self.path_2d, self.all_keypoints, subject, action)
+        names = _entry(self.path_2d, self.all_keypoints, subject, action)
         where = f"{subject} {action!r}, camera {camera}"
-        if not isinstance(cameras, list | tuple) or len(cameras) != len(CAMERA_IDS):
-            raise FileFormatError(self.path_2d, f"{where}: not a list of four cameras")
-        uv = _numbers(self.path_2d, where, cameras[camera], (17, 2))
+        if [name.rpartition("/")[2] for name in names] != ["0", "1", "2", "3"]:
+            raise FileFormatError(self.path_2d, f"{where}: not of four cameras")
+        uv = _numbers(self.path_2d, where, names[camera], (17, 2))
         if not np.isfinite(uv).any():
             raise FileFormatError(self.path_2d, f"{where}: there is no finite number")
         return uv
@@ -264,22 +263,25 @@ def by_number(subjects: Iterable[str]) -> list[str]:
     return sorted(subjects, key=lambda name: (len(name), name))
 
 
-def _by_subject(path: Path, name: str, value: Any) -> Mapping[str, Mapping[str, Any]]:
-    if not isinstance(value, dict) or not all(isinstance(v, dict) for v in value.values()):
-        raise FileFormatError(path, f"{name}: not a dictionary of subjects, each one of actions")
-    return value
+def _by_subject(path: Path, kind: str) -> dict[str, dict[str, list[str]]]:
+    """Return the names of the arrays of a kind by subject and action."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for name in npz_names(path):
+        if name.startswith(f"{kind}/") and name.count("/") > 1:
+            _, subject, action, *_ = name.split("/")
+            found.setdefault(subject, {}).setdefault(action, []).append(name)
+    if not found:
+        problem = f"no array {kind}/SUBJECT/ACTION; convert VideoPose3D's archive by examples/convert_pickles.py"
+        raise FileFormatError(path, problem)
+    return found
 
 
-def _check_metadata(path: Path, metadata: Any) -> None:
+def _check_metadata(path: Path) -> None:
     """Check that the 17 points are Human3.6M's joints and not, for example, COCO's."""
-    given = metadata if isinstance(metadata, dict) else {}
-    layout, points = given.get("layout_name", "h36m"), given.get("num_joints")
-    sides = given.get("keypoints_symmetry")
-    try:
-        ours = [[int(i) for i in side] for side in sides or ()] == _SYMMETRY
-    except (TypeError, ValueError):
-        ours = False
-    if points != 17 or layout != "h36m" or not ours:
+    names = ("num_joints", "layout_name", "keypoints_symmetry")
+    arrays = read_npz_as_saved(path, kinds="fiuU", names=[f"metadata/{name}" for name in names])
+    points, layout, sides = (arrays[key].tolist() if (key := f"metadata/{name}") in arrays else None for name in names)
+    if points != 17 or layout not in (None, "h36m") or sides != _SYMMETRY:
         raise FileFormatError(
             path,
             f"metadata: {points} points, layout {layout!r}, left and right {sides}; only Human3.6M's own 17 joints "
@@ -287,7 +289,7 @@ def _check_metadata(path: Path, metadata: Any) -> None:
         )
 
 
-def _entry(path: Path, table: Mapping[str, Mapping[str, Any]], subject: str, action: str) -> Any:
+def _entry(path: Path, table: Mapping[str, Mapping[str, Sequence[str]]], subject: str, action: str) -> Sequence[str]:
     """Return what an archive has of an action."""
     if subject not in table:
         raise UnknownNameError(f"subject in {path.name}", [subject], by_number(table))
@@ -296,11 +298,11 @@ def _entry(path: Path, table: Mapping[str, Mapping[str, Any]], subject: str, act
     return table[subject][action]
 
 
-def _numbers(path: Path, where: str, value: Any, shape: tuple[int, int]) -> Array:
+def _numbers(path: Path, where: str, name: str, shape: tuple[int, int]) -> Array:
     """Return an array (T, *shape) of float64, NaN where not finite."""
-    if not isinstance(value, np.ndarray) or value.ndim != 3 or value.shape[1:] != shape:
-        have = getattr(value, "shape", type(value).__name__)
-        raise FileFormatError(path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {have}")
+    value = read_npz_as_saved(path, names=[name])[name]
+    if value.ndim != 3 or value.shape[1:] != shape:
+        raise FileFormatError(path, f"{where}: expected shape (T, {shape[0]}, {shape[1]}), got {value.shape}")
     with np.errstate(invalid="ignore"):  # some NaNs are said to be invalid when they are cast
         numbers = value.astype(np.float64)
     return np.where(np.abs(numbers) <= LARGEST_NUMBER, numbers, np.nan)

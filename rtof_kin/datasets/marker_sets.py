@@ -17,7 +17,7 @@ cameras, Cam0 to Cam4 at -70, -45, 0, 45 and 70 degrees, 0 in front of the perso
 walking, squats, rising from a chair, drop jumps::
 
     subject2/sessionMetadata.yaml                             height_m
-    subject2/VideoData/Session0/Cam1/cameraIntrinsicsExtrinsics.pickle
+    subject2/VideoData/Session0/Cam1/cameraIntrinsicsExtrinsics.json   (examples/convert_pickles.py)
     subject2/VideoData/Session0/Cam1/STS1/STS1_syncdWithMocap.avi      cut to the reference; or STS1.avi
     subject2/OpenSimData/Mocap/IK/STS1.mot                    inverse kinematics of the markers
 """
@@ -257,9 +257,9 @@ class OpenCapValidation(PublicSet):
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""
         calibration = existing(
-            take.folder.parent / "cameraIntrinsicsExtrinsics.pickle",
+            take.folder.parent / "cameraIntrinsicsExtrinsics.json",
             "the calibration of the camera",
-            "unpack it from LabValidation_withVideos, or measure without one: --uncalibrated",
+            "convert the .pickle of the data set (docs/validate.md), or measure without one: --uncalibrated",
         )
         return TakeInputs(video=_video(take), rate_hz=60.0, camera=calibration, height=_height(take))
 

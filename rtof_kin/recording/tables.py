@@ -188,8 +188,8 @@ class CameraTable(InputTable):
     accuracy: AccuracyTable | None = None
     motion: CameraMotionTable | None = None
     file: Annotated[str, Field(examples=["camera.yml"])] | None = None
-    """A calibration file instead of these lines: .toml (Pose2Sim, Caliscope, AniposeLib), .yml or .json (OpenCV),
-    .pickle (OpenCap)."""
+    """A calibration file instead of these lines: .toml (Pose2Sim, Caliscope, AniposeLib), .yml or .json (OpenCV,
+    and OpenCap's once converted)."""
     name: str | None = None
     """Name of the camera in a `file` of several."""
     up: Annotated[str, OneOf(lambda: UP)] | None = None

@@ -28,7 +28,7 @@ from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.camera_toml import read_camera_toml
-from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
+from rtof_kin.formats.cameras import read_opencv_yaml
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.total_capture import read_cameras
@@ -277,7 +277,6 @@ _BY_SUFFIX: Final[dict[str, Callable[[Path], Inspection]]] = {
     ".toml": lambda path: _cameras(path, "cameras in TOML", read_camera_toml(path)),
     ".yml": _yaml,
     ".yaml": _yaml,
-    ".pickle": lambda path: _cameras(path, "camera of OpenCap", read_opencap(path)),
     ".cal": lambda path: _cameras(path, f"cameras of Total Capture, as in {CAMERA_FILE}", read_cameras(path)),
     ".json": _keypoints,
     ".npy": _keypoints,

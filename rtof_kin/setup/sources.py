@@ -13,7 +13,7 @@ from typing import Final
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
-from rtof_kin.formats.cameras import MATRIX_NAMES, read_opencap
+from rtof_kin.formats.cameras import MATRIX_NAMES
 from rtof_kin.formats.sensors.files import format_of, holds_sensors
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.formats.sensors.tables import phone_files
@@ -64,9 +64,9 @@ class SourceKind(Enum):
 
 _KNOWN: Final = (
     "a video (MP4, MOV, AVI, MKV, ...), a detector's keypoints (a folder of OpenPose's .json; .json, .csv, "
-    ".npz, .npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json, "
-    "OpenCap's .pickle), a map of sensors (two columns: serial number, segment), a log of the phone that "
-    "filmed (phyphox, Sensor Logger)"
+    ".npz, .npy), files of inertial sensors (docs/sensors.md), a camera calibration (.toml, .yml, .json; "
+    "OpenCap's .pickle converted, docs/recording.md), a map of sensors (two columns: serial number, segment), a log "
+    "of the phone that filmed (phyphox, Sensor Logger)"
 )
 
 
@@ -91,13 +91,10 @@ def recognise_source(path: str | Path) -> SourceKind:
         return SourceKind.VIDEO
     if head[:6] == b"\x93NUMPY":
         return SourceKind.KEYPOINTS
-    packed, pickled = head[:4] == b"PK\x03\x04", head[:1] == b"\x80"
-    if packed or pickled:
-        with suppress(FileFormatError, InvalidInputError):
-            if packed and set(ARRAY_NAMES) & set(npz_names(path)):
+    if head[:4] == b"PK\x03\x04":
+        with suppress(FileFormatError):
+            if set(ARRAY_NAMES) & set(npz_names(path)):
                 return SourceKind.KEYPOINTS
-            if pickled and len(read_opencap(path, up="y")) == 1:
-                return SourceKind.CAMERA
         return SourceKind.UNKNOWN
     if format_of(path) is not None:
         return SourceKind.SENSORS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,12 @@ import numpy as np
 import planted
 import pytest
 import tomli_w
-from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.formats.cameras import read_camera, read_opencap, read_opencv_yaml
+from rtof_kin.formats.cameras import read_camera, read_opencv_yaml
 from rtof_kin.recording.recording import Recording
 
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
@@ -165,70 +163,6 @@ def test_up_axis_unit_and_size_are_declared(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="camera, image_width: missing"):
         read_opencv_yaml(sizeless)
     assert_same(read_opencv_yaml(sizeless, size_px=(1920, 1080))["camera"], plain)
-
-
-CAMERA = planted.camera()
-BOARDS = {  # axis of the board that points up -> R_board_world of a board placed so
-    "-y": Rotation.from_euler("x", 90, degrees=True),
-    "y": Rotation.from_euler("x", -90, degrees=True),
-    "z": Rotation.from_euler("z", 70, degrees=True),
-    "-z": Rotation.from_euler("x", 180, degrees=True),
-    "x": Rotation.from_euler("y", 90, degrees=True),
-}
-
-
-def content(R_board_world: Rotation, camera: Camera = CAMERA) -> dict[str, Any]:
-    """What OpenCap writes for a camera whose checkerboard has this orientation in the world."""
-    R = camera.R_camera_world @ R_board_world.as_matrix().T
-    return {
-        "distortion": camera.distortion[None],
-        "intrinsicMat": camera.K,
-        "imageSize": np.array([[camera.height_px], [camera.width_px]], dtype=float),
-        "rotation": R,
-        "translation": 1000 * camera.t_camera_world[:, None],
-        "rotation_EulerAngles": Rotation.from_matrix(R).as_rotvec()[:, None],
-    }
-
-
-def write(folder: Path, entries: Any, protocol: int = 4) -> Path:
-    folder.mkdir(exist_ok=True)
-    path = folder / "cameraIntrinsicsExtrinsics.pickle"
-    path.write_bytes(pickle.dumps(entries, protocol))
-    return path
-
-
-@pytest.mark.parametrize("protocol", [2, 4, 5])
-@pytest.mark.parametrize("up", BOARDS)
-def test_camera_sees_what_it_saw_however_the_board_was_put_up(tmp_path: Path, up: str, protocol: int) -> None:
-    path = write(tmp_path / "Cam1", content(BOARDS[up]), protocol)
-    ((name, camera),) = read_opencap(path).items()
-    assert name == "Cam1"
-    assert (camera.width_px, camera.height_px) == (CAMERA.width_px, CAMERA.height_px)
-    assert np.allclose(camera.K, CAMERA.K)
-    # Both worlds have z up and the same origin; they differ by a turn about z.
-    turn = camera.R_camera_world.T @ CAMERA.R_camera_world
-    assert np.allclose(turn[2], [0, 0, 1], atol=1e-9)
-    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    assert np.allclose(camera.project(points @ turn.T), CAMERA.project(points), atol=1e-6)
-    assert np.allclose(read_camera(path).R_camera_world, camera.R_camera_world)
-    told = read_camera(path, up=up)
-    assert np.allclose(told.R_camera_world, camera.R_camera_world)
-
-
-def test_a_pose2sim_export_has_its_world_again(tmp_path: Path) -> None:
-    # Pose2Sim turns the world by -90 degrees about x, then by 180 about z, before it writes R; t stays.
-    turned = Rotation.from_euler("z", 180, degrees=True) * Rotation.from_euler("x", -90, degrees=True)
-    path = write(tmp_path / "Cam0", content(turned))
-    camera = read_opencap(path)["Cam0"]
-    assert np.allclose((camera.R_camera_world.T @ CAMERA.R_camera_world)[2], [0, 0, 1])
-    assert camera.center_world[2] == pytest.approx(CAMERA.center_world[2])
-
-
-def test_a_board_between_two_axes_needs_to_be_told(tmp_path: Path) -> None:
-    path = write(tmp_path / "Cam0", content(Rotation.from_euler("xy", [45, 30], degrees=True)))
-    with pytest.raises(FileFormatError, match="no axis of the checkerboard is upright.*up = '-y'"):
-        read_opencap(path)
-    assert read_opencap(path, up="z")["Cam0"].width_px == CAMERA.width_px
 
 
 def test_two_cameras_with_their_own_poses_are_no_stereo_pair(tmp_path: Path) -> None:

@@ -16,13 +16,6 @@ from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 CAMERA = planted.camera()
-OPENCAP = {
-    "intrinsicMat": CAMERA.K,
-    "distortion": np.zeros((1, 5)),
-    "rotation": CAMERA.R_camera_world,
-    "translation": np.zeros((3, 1)),
-    "imageSize": np.array([[1080], [1920]]),
-}
 MAP = b"serial,segment\n00B42279,pelvis\n00B4227D,right shank\n"
 LANDMARKS = b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25}]}]}'
 OF_ONE_FILE = {
@@ -41,7 +34,6 @@ OF_ONE_FILE = {
     # cameras
     "k.yml": (OPENCV, SourceKind.CAMERA),
     "l.json": (b'{"width": 64, "height": 48, "K": [[9, 0, 3], [0, 9, 2], [0, 0, 1]]}', SourceKind.CAMERA),
-    "m.pickle": (pickle.dumps(OPENCAP), SourceKind.CAMERA),
     # maps of sensors
     "n.csv": (MAP, SourceKind.SENSOR_MAP),
     "o.txt": (b"00B42279 pelvis\n00B4227D right shank\n", SourceKind.SENSOR_MAP),

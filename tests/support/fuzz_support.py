@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import importlib.util
 import io
-import pickle
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,7 +28,6 @@ from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
-from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.datasets.human36m import Human36M
@@ -40,7 +38,7 @@ from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_motion
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
-from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
+from rtof_kin.formats.cameras import read_opencv_yaml
 from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.formats.gait_reference import read_gait_reference, write_gait_reference
 from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
@@ -233,17 +231,6 @@ def written(title: str, name: str, write: Callable[[Path], object], read: Callab
     return Reader(title, example, lambda folder: read(folder / name))
 
 
-def _opencap() -> bytes:
-    camera = {
-        "intrinsicMat": CAMERA.K,
-        "distortion": CAMERA.distortion[None],
-        "rotation": CAMERA.R_camera_world,
-        "translation": 1000 * CAMERA.t_camera_world[:, None],
-        "imageSize": np.array([[1080.0], [1920.0]]),
-    }
-    return pickle.dumps(camera, 4)
-
-
 def _points_xdf() -> bytes:
     labels = ("nose_x", "nose_y", "nose_confidence", "left_hip_x", "left_hip_y")
     values = np.random.default_rng(0).uniform(0.1, 1, (4, 5)) * [640, 480, 1, 640, 480]
@@ -282,12 +269,6 @@ READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
     written("motion.h5", "motion.h5", lambda p: write_motion(p, motion()), Motion.load),
-    given(
-        "object npz",
-        "a.npz",
-        lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object)),
-        lambda p: read_object_npz(p, ("a",)),
-    ),
     # --- motion capture
     given("BVH", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), read_bvh),
     Reader(
@@ -313,7 +294,6 @@ READERS = (
         b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}',
         read_opencv_yaml,
     ),
-    given("OpenCap", "a.pickle", _opencap, lambda p: read_opencap(p, up="z")),
     # --- datasets
     given("Total Capture positions", "a.txt", TC("gt_skel_gbl_pos.txt"), lambda p: total_capture.read_joints(p, 3)),
     given("Total Capture sensors", "a.sensors", TC("_xsens.sensors"), total_capture.read_sensors),

@@ -100,20 +100,30 @@ def keypoints(positions: Positions, sigma_px: float = 0.0, more: int = 0) -> dic
     }
 
 
+def plain(**contents: Any) -> dict[str, Any]:
+    """Arrays by the path to them in nested contents."""
+    found: dict[str, Any] = {}
+    for name, value in contents.items():
+        nested = value if isinstance(value, dict) else dict(enumerate(value)) if isinstance(value, list) else None
+        if nested is None or name == "keypoints_symmetry":
+            found[name] = np.asarray(value)
+        else:
+            found |= {f"{name}/{key}": array for key, array in plain(**{str(k): v for k, v in nested.items()}).items()}
+    return found
+
+
 def write_positions(root: Path, positions: Mapping[str, Mapping[str, Any]]) -> None:
     """``data_3d_h36m.npz``; entries that are not (T, 17, 3) are written as they are."""
     entries = {
         subject: {a: of_32(p) if np.shape(p)[1:] == (17, 3) else p for a, p in actions.items()}
         for subject, actions in positions.items()
     }
-    contents: dict[str, Any] = {"positions_3d": entries}
-    np.savez_compressed(root / "data_3d_h36m.npz", **contents)
+    np.savez_compressed(root / "data_3d_h36m.npz", **plain(positions_3d=entries))
 
 
 def write_keypoints(root: Path, entries: Mapping[str, Any], kind: str = "gt", metadata: Any = METADATA) -> None:
     """``data_2d_h36m_<kind>.npz``."""
-    contents: dict[str, Any] = {"positions_2d": entries, "metadata": metadata}
-    np.savez_compressed(root / f"data_2d_h36m_{kind}.npz", **contents)
+    np.savez_compressed(root / f"data_2d_h36m_{kind}.npz", **plain(positions_2d=entries, metadata=metadata))
 
 
 def camera_json(subjects: tuple[str, ...]) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -106,15 +105,15 @@ def write_opencap(root: Path, offset: float = 0.0, shift: float = 0.0, trial: st
     height = known().recording.skeleton.height
     (subject / "sessionMetadata.yaml").write_text(f"height_m: {height:.3f}\nmass_kg: 70.0\n")
     camera = known().video.camera
-    R_board_world = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # y of the board points down
     saved = {
-        "intrinsicMat": camera.K,
-        "distortion": camera.distortion[None],
-        "imageSize": np.array([[camera.height_px], [camera.width_px]]),
-        "rotation": camera.R_camera_world @ R_board_world.T,
-        "translation": camera.t_camera_world[:, None] * 1000,
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+        "camera_matrix": camera.K.tolist(),
+        "distortion_coefficients": camera.distortion.tolist(),
+        "R": camera.R_camera_world.tolist(),
+        "T": camera.t_camera_world.tolist(),
     }
-    (folder / "cameraIntrinsicsExtrinsics.pickle").write_bytes(pickle.dumps(saved))
+    (folder / "cameraIntrinsicsExtrinsics.json").write_text(json.dumps(saved))
     path = subject / "OpenSimData" / "Mocap" / "IK" / f"{trial}.mot"
     write_mot(path, true_columns(offset), known().poses.times + shift)
     return f"subject2_Session1_Cam1_{trial}"
