@@ -2,8 +2,8 @@
 
 OpenCap's ``cameraIntrinsicsExtrinsics.pickle`` becomes a .json of the same name beside it: a camera in OpenCV's names,
 in a world with z up, m. Up is the axis of the checkerboard that is nearest to the image's upward direction, unless --up
-says otherwise. VideoPose3D's ``data_3d_h36m.npz`` and ``data_2d_h36m_*.npz`` become archives of plain arrays of the same
-name in FOLDER. Loading a pickle runs what it says: convert only files that come from their publisher.
+says otherwise. VideoPose3D's ``data_3d_h36m.npz`` and ``data_2d_h36m_*.npz`` become archives of plain arrays of the
+same name in FOLDER. Loading a pickle runs what it says: convert only files that come from their publisher.
 """
 
 import argparse
