@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ConfigDict
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnitError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Matrix3, Quaternion, Vector2, Vector3, Vector5
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_json, read_text
@@ -141,24 +141,21 @@ def _read_source(path: Path) -> dict[str, dict[int, Camera]]:
 
 def _literal(path: Path, text: str, name: str) -> Any:
     """Return the literal value of a name at a module's top level."""
-    try:
+    problem = f"{name} is not written out in numbers ({{}}); it is read, never run"
+    with reading(path, problem, SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
         for statement in ast.parse(text).body:
             if isinstance(statement, ast.Assign) and any(
                 isinstance(target, ast.Name) and target.id == name for target in statement.targets
             ):
                 return ast.literal_eval(statement.value)
-    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
-        raise FileFormatError(path, f"{name} is not written out in numbers ({error}); it is read, never run") from error
     raise FileFormatError(path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py")
 
 
 def _camera(
     path: Path, where: str, K: Array, R: Array, t_mm: Array, distortion: Array, size_px: tuple[int, int]
 ) -> Camera:
-    try:
+    with reading(path, f"{where}: {{}}"):
         camera = Camera(K, R, t_mm / 1000, *size_px, distortion)
-    except InvalidInputError as error:
-        raise FileFormatError(path, f"{where}: {error}") from error
     distance = float(np.linalg.norm(camera.center_world))
     low, high = _PLAUSIBLE_DISTANCE
     if not low < distance < high:

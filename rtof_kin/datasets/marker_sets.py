@@ -33,7 +33,7 @@ import numpy as np
 import yaml
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.camera import Camera
@@ -176,10 +176,8 @@ def read_camera(intrinsics: Path, extrinsics: Path) -> Camera:
     K = own["IntrinsicMatrix"].T.copy()
     K[:2, 2] -= 1.0
     distortion = np.r_[own["RadialDistortion"], np.zeros(3)]
-    try:
+    with reading(extrinsics):
         return Camera(K, placed["rotationMatrix"].T, placed["translationVector"] * _MM, *SIZE_PX, distortion)
-    except InvalidInputError as error:
-        raise FileFormatError(extrinsics, str(error)) from error
 
 
 def _arrays(path: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
@@ -206,10 +204,8 @@ def read_motions(path: Path) -> dict[str, Any]:
     for field in ("flags30", "flags120", "virtualMarkerLocation"):
         if field not in move:
             raise FileFormatError(path, f"no field {field} in it; is it of another version of the set?")
-        try:
+        with reading(path, f"move.{field} holds no numbers", TypeError, ValueError):
             found[field] = np.asarray(move[field], dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise FileFormatError(path, f"move.{field} holds no numbers") from error
     motions = [str(name) for name in np.atleast_1d(move.get("motions_list", ()))]
     points, count = found["virtualMarkerLocation"], len(motions)
     if points.ndim != 3 or points.shape[1:] != (len(CENTRES), 3):

@@ -18,7 +18,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.opensim import OpenSimTable
@@ -127,10 +127,8 @@ def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Ar
         if not 0.9 < norm < 1.1:
             raise FileFormatError(path, f"{sensor}: quaternions have a norm of {norm:.3g}, not 1: another unit?")
     readings = [Readings(name, times, quaternions=quat) for name, (times, quat) in sensors.items()]
-    try:
+    with reading(path):
         return sensor_log([path], what, readings, Declaration())
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:

@@ -16,7 +16,7 @@ import numpy as np
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
 from rtof_kin.formats.articulated import ArticulatedMotion
@@ -45,10 +45,8 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
     tokens = _Tokens(path, lines)
     nodes = _read_hierarchy(tokens)
     rate, values = _read_motion(path, lines, tokens.line, sum(len(n.channels) for n in nodes), rate_hz)
-    try:
+    with reading(path):
         return _assemble(nodes, values, rate)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 class _Tokens:

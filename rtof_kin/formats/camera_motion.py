@@ -32,7 +32,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.arrays import read_npz, write_npz
 from rtof_kin.data.camera import CameraTurning
 from rtof_kin.data.camera_motion import CameraMotion
@@ -62,10 +62,8 @@ def read_camera_motion(path: Path) -> CameraMotion:
             if arrays[name].size != 1:
                 raise FileFormatError(path, f"{name}: expected one number, got shape {arrays[name].shape}")
             fields[field] = arrays[name].item()
-    try:
+    with reading(path):
         return CameraMotion(**fields, up_first=arrays.get("up_first"))
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = False) -> None:

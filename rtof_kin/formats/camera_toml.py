@@ -26,7 +26,7 @@ from pydantic import ConfigDict
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
+from rtof_kin.core.errors import FileFormatError, UnitError, reading
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Matrix3, Names, Vector2
 from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.camera import Camera
@@ -132,10 +132,8 @@ def camera_in_world(
         )
     width, height = map(round, size_px)
     distortion = np.pad(distortion, (0, 5 - len(distortion)))
-    try:
+    with reading(path, f"{where}: {{}}"):
         return Camera(K, pose[0] @ R_world_file.T, t, width, height, distortion, assumed)
-    except InvalidInputError as error:
-        raise FileFormatError(path, f"{where}: {error}") from error
 
 
 def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:

@@ -39,7 +39,7 @@ from pydantic import Strict
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Names, Number, Vector2
 from rtof_kin.core.files.text import csv_rows, load_json, write_text
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE, VARIABLES, GaitReference
@@ -115,7 +115,7 @@ def read_gait_reference(path: str | Path) -> GaitReference:
             "speeds": tuple(math.nan if one.speed_m_per_s is None else one.speed_m_per_s for one in file.curves),
         }
     speeds = file.speed_m_per_s
-    try:
+    with reading(path):
         return GaitReference(
             np.radians(mean),
             np.radians(sd),
@@ -128,8 +128,6 @@ def read_gait_reference(path: str | Path) -> GaitReference:
             notes=file.notes,
             speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
         )
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _curves(person: PersonTable, side: str) -> list[Array]:
@@ -210,10 +208,8 @@ def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = ()
         sign, v = -1 if name in negated else 1, NAMES.index(name)
         curve, deviation = _curve(path, name, samples)
         mean[v], sd[v] = sign * curve, deviation
-    try:
+    with reading(path):
         return GaitReference(np.radians(mean), np.radians(sd), **about)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _number(path: Path, line: int, column: str, row: dict[str, str]) -> float:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file, measurable, numbers_of, read_text
 from rtof_kin.core.packages import optional
@@ -109,10 +109,8 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
     kept = [(n, row if any(map(str.strip, row[cells:])) else row[:cells]) for n, row in of]  # tabs may follow
     table = np.array([numbers_of(path, n, row, cells, what, gaps=True) for n, row in kept])
     p_file = table[:, 1:].reshape(frames, count, 3) * metres
-    try:
+    with reading(path):
         return MarkerSequence(table[:, 0], names, p_file @ R_world_file.T)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _world_of_file(up: str) -> Array:
@@ -239,18 +237,14 @@ def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
         raise FileFormatError(path, "there is no point in it")
     times = (max(reader.header.first_frame, 1) - 1 + np.arange(len(p_file))) / rate
     names = tuple(labels[i] or f"*{i + 1}" for i in kept)
-    try:
+    with reading(path):
         return MarkerSequence(times, names, p_file[:, kept] @ R_world_file.T * METRES[unit])
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
+    with reading(path, "cannot be read: {}", OSError):
         check_file(path, "a C3D file of moderate size", LARGEST_BYTES)
         data = path.read_bytes()
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
     if len(data) < 2 * _BLOCK or data[1] != 0x50 or data[0] == 0:
         raise FileFormatError(path, "not a C3D file, which has a header and parameters")
     at = (data[0] - 1) * _BLOCK + 3

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
@@ -91,19 +91,16 @@ class MeasurementsReader:
         self.path = Path(path)
         with ExitStack() as failed:
             self._file = file = failed.enter_context(ArrayFile(self.path))
-            try:
+            with (
+                reading(self.path, "its header is not readable ({})", RtofError, ValueError, TypeError),
+                reading(self.path, "{} is missing", KeyError),
+            ):
                 self._header: dict[str, Any] = json.loads(file.text("header"))
                 if self._header["schema_version"] > SCHEMA_VERSION:
                     raise FileFormatError(self.path, "its schema version is newer; update rtof_kin")
                 self.times: Array = checked_times("measurements times", file.whole("times"))
                 constant = [name for name in file.shapes if name.endswith(_CONSTANT)]
                 self._constant: dict[str, Array] = {name: file.whole(name).astype(float) for name in constant}
-            except FileFormatError:
-                raise
-            except KeyError as error:
-                raise FileFormatError(self.path, f"{error} is missing") from error
-            except (RtofError, ValueError, TypeError) as error:
-                raise FileFormatError(self.path, f"its header is not readable ({error})") from error
             self._names = [name for name in file.shapes if name not in (*constant, "header")]
             if lengths := {file.shapes[name][0] for name in self._names} - {len(self.times)}:
                 raise FileFormatError(self.path, f"arrays of different lengths, {len(self.times)} and {lengths.pop()}")
@@ -131,16 +128,14 @@ class MeasurementsReader:
         if not 0 <= start < stop <= len(self):
             raise InvalidInputError(f"{self.path}: no frames {start} to {stop}; it has {len(self)}")
         arrays = dict(self._constant)
-        try:
+        wrong = RtofError, ValueError, TypeError, AttributeError, IndexError
+        with (
+            reading(self.path, f"frames {start} to {stop}: {{}}", *wrong),
+            reading(self.path, "{} is missing", KeyError),
+        ):
             for name in self._names:
                 arrays[name] = np.asarray(self._file.rows(name, start, stop), dtype=float)
             return _measurements(self._header, arrays)
-        except KeyError as error:
-            raise FileFormatError(self.path, f"{error} is missing") from error
-        except (RtofError, ValueError, TypeError, AttributeError, IndexError) as error:
-            if isinstance(error, FileFormatError):
-                raise
-            raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
 
 
 def read_measurements(path: str | Path) -> Measurements:

@@ -39,7 +39,7 @@ from rtof_kin.body.urdf import segment_inertia
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import numbers_of, read_text, write_text
 from rtof_kin.data.imu import STANDARD_GRAVITY
@@ -103,12 +103,10 @@ def read_opensim_table(path: str | Path) -> OpenSimTable:
             path, "the header does not state the unit of rotations: add a line inDegrees=yes or inDegrees=no"
         )
     own = _OWN.search(header)
-    try:
+    with reading(path):
         return OpenSimTable(
             table[:, 0], tuple(chosen.values()), table[:, list(chosen)], unit[1].lower() == "yes", own[1] if own else ""
         )
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
 
 
 def _cells(line: str) -> list[str]:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog
@@ -165,10 +165,8 @@ def _camera(path: Path, number: int, row: Array, order: int) -> Camera:
     distortion[[0, 1, 4][:order]] = row[8 : 8 + order]  # radial terms, in OpenCV's k1 k2 p1 p2 k3
     R, t = row[8 + order : 17 + order].reshape(3, 3), row[17 + order :]
     size = int(row[3] - row[2] + 1), int(row[1] - row[0] + 1)
-    try:
+    with reading(path, f"camera {number}: {{}}", ValueError):
         return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), R, t, *size, distortion=distortion)
-    except ValueError as error:
-        raise FileFormatError(path, f"camera {number}: {error}") from error
 
 
 # --- text ----------------------------------------------------------------------------------------

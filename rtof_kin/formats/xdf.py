@@ -25,7 +25,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.packages import optional
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.formats.channels import PointChannels, StreamChannels
@@ -169,10 +169,8 @@ def read_xdf(path: Path, **declared: Any) -> SensorLog:
         else:
             own += _spacing(times)
         for sensor in channels.sensors:
-            try:
+            with reading(path, f"stream {header.name}: {{}}"):
                 one = sensor.readings(times, values).stream(channels.declaration)
-            except InvalidInputError as error:
-                raise FileFormatError(path, f"stream {header.name}: {error}") from error
             streams.append(replace(one, notes=tuple(own)))
     declarations = {repr(channels.declaration) for _, channels in found}
     if len(declarations) > 1:

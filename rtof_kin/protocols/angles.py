@@ -12,7 +12,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import ALL, AngleErrors, angle_differences, error_rows
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles, opensim_angles
 from rtof_kin.clinical.comparison_samples import align
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.datasets.public_sets import Movement
 from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.markers.trials import MarkerResult
@@ -81,10 +81,8 @@ def against_opensim(motion: Motion, path: Path, movement: Movement = "other", re
     Raises:
         FileFormatError: no such table. InvalidInputError: no angle is in both.
     """
-    try:
+    with reading(path):
         reference, _ = opensim_angles(read_opensim_table(path))
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
     return _with_other_clock(motion, reference, path, movement, reach)
 
 

@@ -27,7 +27,7 @@ from rtof_kin.clinical.comparison_spm import ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
@@ -202,10 +202,8 @@ def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> 
 
 def _other_system(path: Path) -> Compared:
     table = read_opensim_table(path)
-    try:
+    with reading(path):
         angles, others = opensim_angles(table)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
     notes: tuple[str, ...] = ()
     if others:
         notes = (f"coordinates that are no clinical angle of this package: {some(others, _LISTED)}",)

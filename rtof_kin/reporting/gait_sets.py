@@ -19,7 +19,7 @@ from rtof_kin.clinical.gait_scores import build_reference
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.gait_reference import MODEL_ZERO, NAMES, OWN_SYSTEM, SHAPE, GaitReference
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
@@ -104,7 +104,7 @@ def _angles(files: list[Path], columns: dict[str, str], speeds: tuple[float, flo
 
 def _trials(path: Path, speeds: tuple[float, float] | None) -> Iterator[dict[str, Array]]:
     """Yield angles by name, deg: of each stride of walking of a .mat, or of the right and left of a table."""
-    try:
+    with reading(path, "is not as the set publishes it ({})", KeyError, TypeError, ValueError):
         if path.suffix == ".mat":
             struct: Any = matlab_variables(path, simplify_cells=True)["s"]
             names = [str(name).strip() for name in struct["AngVarName"]]
@@ -118,8 +118,6 @@ def _trials(path: Path, speeds: tuple[float, float] | None) -> Iterator[dict[str
         by_name = dict(zip(head.split("\t"), np.array(rows).T, strict=True))
         for side in "RL":
             yield {name.strip()[1:]: values for name, values in by_name.items() if name.startswith(side)}
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(path, f"is not as the set publishes it ({error})") from error
 
 
 def _means(folder: Path, people: dict[str, Any], own: dict[str, Any], about: dict[str, Any]) -> GaitReference:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.text import load_json
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.audit_results import AuditResult
@@ -70,7 +70,7 @@ def read_summary(path: str | Path) -> Summary:
     data = load_json(path)
     if not isinstance(data, dict):
         raise FileFormatError(path, "not the summary of a reconstruction")
-    try:
+    with reading(path, "{}; reconstruct again", InvalidInputError, ValueError, TypeError, RecursionError):
         known = {name: data[name] for name in _READ if data.get(name) is not None}
         for name, value in known.items():
             _check(name, value)
@@ -87,8 +87,6 @@ def read_summary(path: str | Path) -> Summary:
             mean_sigmas=sigmas,
             person=_person(data.get("run")),
         )
-    except (InvalidInputError, ValueError, TypeError, RecursionError) as error:
-        raise FileFormatError(path, f"{error}; reconstruct again") from error
 
 
 def _person(run: Any) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.soles import FEET, floor_levels, sole_points
 from rtof_kin.body.urdf import pin
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.data.confidence import Confidence
@@ -148,10 +148,8 @@ class Retargeter:
         """
         need, self.urdf = ("robots", "a robot's inverse kinematics"), urdf
         self._pink, self._solvers, _ = (optional(name, *need) for name in ("pink", "qpsolvers", "daqp"))
-        try:
+        with reading(urdf, "not a readable URDF: {}", ValueError, RuntimeError):
             self.model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
-        except (ValueError, RuntimeError) as error:
-            raise FileFormatError(urdf, f"not a readable URDF: {error}") from error
         self.joints, self.skeleton, self.track = tuple(self.model.names[2:]), skeleton, Tracking()
         if self.model.nq != 7 + len(self.joints):
             raise FileFormatError(urdf, "needs joints of one angle with limits; declare continuous ones as revolute")

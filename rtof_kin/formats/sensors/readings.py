@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.text import LARGEST_NUMBER
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 
@@ -179,10 +179,8 @@ def sensor_log(
         FileFormatError: no sensor, a name twice, or invalid numbers.
     """
     path = paths[0] if len(paths) == 1 else paths[0].parent
-    try:
+    with reading(path):
         streams = tuple(one.stream(declaration) for one in readings)
         if not streams:
             raise InvalidInputError("there is no sensor in it")
         return SensorLog(path, title, streams, declaration, tuple(file_notes), start_utc)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
