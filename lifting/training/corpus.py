@@ -37,10 +37,8 @@ BENCHMARK_SPLIT: Final = Path(__file__).parents[2] / "benchmarks" / "split.toml"
 def read_split(path: str | Path) -> dict[str, str]:
     """Read the split of each subject listed in a TOML file; subjects that are not listed train.
 
-    Its lists are named ``test``, ``validation`` and ``excluded``; tables are ignored.
-
-    Raises:
-        FileFormatError: not TOML, an unknown list, or a subject in two lists.
+    Its lists are named ``test``, ``validation`` and ``excluded``; tables are ignored. `FileFormatError`: not TOML, an
+    unknown list, or a subject in two lists.
     """
     split_of: dict[str, str] = {}
     for split, subjects in load_toml(path).items():
@@ -123,10 +121,8 @@ class Corpus:
         return slice(int(self.start[clip]), int(self.start[clip + 1]))
 
     def clips(self, split: str, required: bool = True) -> list[int]:
-        """Return the indices of the clips of a split, one of `SPLITS`.
-
-        Raises:
-            InvalidInputError: there is none, and one is required.
+        """Return the indices of the clips of a split, one of `SPLITS`. `InvalidInputError`: there is none, and one is
+        required.
         """
         found = [c for c, s in enumerate(self.split) if s == split]
         if required and not found:
@@ -220,15 +216,12 @@ def join_clips(
     rate_hz: float = RATE_HZ,
     acknowledgement: str = "",
 ) -> Corpus:
-    """Make a corpus of clips of one skeleton.
+    """Make a corpus of clips of one skeleton. `InvalidInputError`: no clip, or clips with different joints.
 
     Args:
         clips: each with one of `SPLITS`; the same joints, any rate, z up, floor at z = 0, finite.
         parents: (J,) index of each joint's parent, -1 for the root.
         rate_hz: of the corpus, Hz; clips of another rate are resampled. acknowledgement: see `Corpus`.
-
-    Raises:
-        InvalidInputError: no clip, or clips with different joints.
     """
     names: tuple[str, ...] = ()
     arrays: list[tuple[Array, Array, Array]] = []
@@ -276,14 +269,12 @@ def _at_rate(clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float) ->
 
 
 def read_corpus(path: str | Path, split: str | Path | None = None) -> Corpus:
-    """Read a corpus from an .npz file, or from a folder of motion capture.
+    """Read a corpus from an .npz file, or from a folder of motion capture. `FileFormatError`: the file is not a corpus,
+    or there is no split.
 
     Args:
         path: written by `Corpus.save`, or a folder with an ``index.csv``.
         split: TOML file for a folder, see `read_split`; by default see `find_split`.
-
-    Raises:
-        FileFormatError: the file is not a corpus, or there is no split.
     """
     path = Path(path)
     if path.is_dir():
@@ -325,14 +316,12 @@ def total_capture_corpus(
 ) -> Corpus:
     """Read the paper's training takes: S1 to S3, rom1-3, walking1, walking3, freestyle1-2, acting1-2.
 
-    They are cut where the reference jumps or lacks a joint, and moved to a floor at z = 0.
+    They are cut where the reference jumps or lacks a joint, and moved to a floor at z = 0. `FileFormatError`: the
+    folder is not the dataset, or no take to train on could be read.
 
     Args:
         root: folder of the dataset, see `rtof_kin.datasets.total_capture`. progress: see `Progress`.
         validation: takes for the validation curve; if empty, all takes train.
-
-    Raises:
-        FileFormatError: the folder is not the dataset, or no take to train on could be read.
     """
     from rtof_kin.body.skeleton import SkeletonModel
     from rtof_kin.datasets import total_capture
@@ -353,15 +342,13 @@ def human36m_corpus(
 ) -> Corpus:
     """Read S1, S5, S6, S7 and S8 at 50 Hz with 17 joints.
 
-    The data are positions, so orientations are computed from them with the twist of their parents;
-    shoulders and spine are not rigid, so recorded joints are kept.
+    The data are positions, so orientations are computed from them with the twist of their parents; shoulders and spine
+    are not rigid, so recorded joints are kept. `FileFormatError`: the archive cannot be read, or has nothing to train
+    on.
 
     Args:
         root: folder with ``data_3d_h36m.npz``, see `rtof_kin.datasets.human36m`. progress: see `Progress`.
         validation: (subject, action without number) for the validation curve.
-
-    Raises:
-        FileFormatError: the archive cannot be read, or has nothing to train on.
     """
     from rtof_kin.datasets import human36m
 

@@ -233,9 +233,7 @@ class Run:
         """Begin with the weights of another lifter, a file or a name, see `rtof_kin.core.resources.lifter_path`.
 
         One of a shorter receptive field answers for the middle of the window; further layers start near zero beside it.
-
-        Raises:
-            FileFormatError: it is not a lifter, or does not fit.
+        `FileFormatError`: it is not a lifter, or does not fit.
         """
         path = lifter_path(lifter)
         weights, description = checkpoint.load_checkpoint(path)
@@ -259,10 +257,8 @@ class Run:
         self.started_from = hashlib.sha256(path.read_bytes()).hexdigest()
 
     def restore(self, path: Path) -> None:
-        """Resume from a state file if there is one.
-
-        Raises:
-            FileFormatError: it cannot be read, or belongs to other settings or motion.
+        """Resume from a state file if there is one. `FileFormatError`: it cannot be read, or belongs to other settings
+        or motion.
         """
         if not path.exists():
             return

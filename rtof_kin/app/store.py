@@ -247,9 +247,7 @@ class Store:
         """Put a file that is complete in its place, or all files of a .zip file.
 
         Their folders are left out, so that none leads elsewhere; their names are as `new_file` takes them.
-
-        Raises:
-            FileFormatError: the archive is damaged, encrypted, or too large; nothing is taken then.
+        `FileFormatError`: the archive is damaged, encrypted, or too large; nothing is taken then.
         """
         if not name.lower().endswith(".zip"):
             self._put(part, self.new_file(folder, name))

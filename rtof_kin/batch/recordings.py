@@ -63,10 +63,8 @@ class Shard:
 
 def find_recordings(source: Path, out: Path) -> list[Entry]:
     """Return the recordings of a folder or a manifest, sorted by name; none are looked for in `out`.
-
-    Raises:
-        FileFormatError: there is no such source, or the manifest has an error.
-        InvalidInputError: there are no recordings, or the outputs of two would mix.
+    `FileFormatError`: there is no such source, or the manifest has an error; `InvalidInputError`: there are no
+    recordings, or the outputs of two would mix.
     """
     if not source.exists():
         raise FileFormatError(source, "there is no such folder or manifest")
@@ -164,10 +162,8 @@ class Step:
 
 
 def read_chain(text: str, commands: Collection[str]) -> tuple[Step, ...]:
-    """Return the steps of a chain, see the top of this module.
-
-    Raises:
-        InvalidInputError: a command does not exist or needs its files named, or two write the same.
+    """Return the steps of a chain, see the top of this module. `InvalidInputError`: a command does not exist or needs
+    its files named, or two write the same.
     """
     parts: list[str] = []
     for piece in text.split(","):
@@ -207,10 +203,8 @@ def _step(words: list[str], commands: Collection[str]) -> Step:
 
 
 def steps_of(chain: Iterable[Step], entry: Entry) -> tuple[Step, ...]:
-    """Return the steps for one recording, with its own options.
-
-    Raises:
-        InvalidInputError: it has options of a command that is not in the chain.
+    """Return the steps for one recording, with its own options. `InvalidInputError`: it has options of a command that
+    is not in the chain.
     """
     chain = tuple(chain)
     unknown = sorted(set(entry.options) - {step.command for step in chain})

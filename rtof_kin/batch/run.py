@@ -148,10 +148,8 @@ def run_batch(
 ) -> list[Row]:
     """Run a batch, or what is left of it, and return the rows of this shard's recordings, in their order.
 
-    `command` runs one command line and stands at the top level of a module.
-
-    Raises:
-        OutputExistsError: see `claim`. WritingError: the folder cannot be written, or the disk is full.
+    `command` runs one command line and stands at the top level of a module. `OutputExistsError`: see `claim`;
+    `WritingError`: the folder cannot be written, or the disk is full.
     """
     try:
         with claim(batch.out, batch.source, batch.shard, overwrite) as place:
@@ -232,10 +230,8 @@ Check = Callable[[list[str]], object]  #: Raises an error of the package for a c
 
 
 def check_chain(batch: Batch, check: Check) -> None:
-    """Check the command lines of all recordings before the first of them is run; equal ones once.
-
-    Raises:
-        RtofError: a command line is wrong; the message names the recording.
+    """Check the command lines of all recordings before the first of them is run; equal ones once. `RtofError`: a
+    command line is wrong; the message names the recording.
     """
     seen = set()
     for entry in batch.entries:

@@ -208,11 +208,7 @@ class MotionReader(MotionSource):
     """
 
     def __init__(self, path: str | Path):
-        """Read the header and the times.
-
-        Raises:
-            FileFormatError: missing, damaged, of a newer schema, or not a motion.
-        """
+        """Read the header and the times. `FileFormatError`: missing, damaged, of a newer schema, or not a motion."""
         self.path = motion_path(path)
         with ExitStack() as failed:
             self._file = failed.enter_context(ArrayFile(self.path))
@@ -288,14 +284,11 @@ class MotionReader(MotionSource):
                 raise ShapeError(f"{name}: arrays of different lengths, {shapes[name][0]} and {length}")
 
     def read(self, start: int | None = None, stop: int | None = None, confidence: bool = True) -> Motion:
-        """Return frames [start, stop), by default from the first to the last.
+        """Return frames [start, stop), by default from the first to the last. `FileFormatError`: the file is damaged,
+        or something in these frames is missing or invalid; `InvalidInputError`: there are no such frames.
 
         Args:
             confidence: whether to read it if there is one, which takes longest.
-
-        Raises:
-            FileFormatError: the file is damaged, or something in these frames is missing or invalid.
-            InvalidInputError: there are no such frames.
         """
         start, stop = start or 0, len(self) if stop is None else stop
         if not 0 <= start < stop <= len(self):
@@ -314,9 +307,7 @@ class MotionReader(MotionSource):
 
     def root(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,), fast.
-
-        Raises:
-            FileFormatError: the file is damaged.
+        `FileFormatError`: the file is damaged.
         """
         rows = self._file.rows
         p = np.array(rows("q", start, stop)[:, :3], dtype=float)
@@ -375,13 +366,10 @@ class MotionWriter(BlockWriter):
         self._nodes = NodeFinder()
 
     def append(self, motion: Motion) -> None:
-        """Append the next frames.
+        """Append the next frames. `InvalidInputError`: another body, earlier times, or a confidence of other pairs.
 
         Args:
             motion: of the same body, with times after those before, and with or without a confidence as all.
-
-        Raises:
-            InvalidInputError: another body, earlier times, or a confidence of other pairs.
         """
         skeleton, poses = motion.skeleton, motion.poses
         if skeleton is not self._skeleton and not (

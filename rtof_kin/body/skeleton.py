@@ -75,13 +75,11 @@ class Motion:
 
     @classmethod
     def load(cls, folder: str | Path, start: int | None = None, stop: int | None = None) -> Motion:
-        """Read a motion, or frames [start, stop) of it.
+        """Read a motion, or frames [start, stop) of it. `FileFormatError`: missing, damaged, of a newer schema, or not
+        a motion; `InvalidInputError`: no such frames.
 
         Args:
             folder: output of `reconstruct` or `run`, or the file in it.
-
-        Raises:
-            FileFormatError: missing, damaged, of a newer schema, or not a motion. InvalidInputError: no such frames.
         """
         from rtof_kin.body.motion_file import MotionReader
 
@@ -175,12 +173,10 @@ class SkeletonModel:
         """Load a URDF written by this package (shipped or personalised).
 
         Bone offsets, limits and inertias are those of the file, everything else is that of the table.
+        `FileFormatError`: not a URDF of this skeleton.
 
         Args:
             table: its skeleton table; default: the 21-joint table.
-
-        Raises:
-            FileFormatError: not a URDF of this skeleton.
         """
         return cls(*read_urdf(path, table or model_path("skeleton.toml")))
 
@@ -233,13 +229,11 @@ class SkeletonModel:
     # --- other bodies ----------------------------------------------------------------------------
 
     def with_offsets(self, offsets: ArrayLike | Mapping[str, ArrayLike]) -> SkeletonModel:
-        """Return the skeleton with other joint offsets.
+        """Return the skeleton with other joint offsets. `InvalidInputError`, `UnknownNameError`: wrong shape, not
+        finite, zero length, an unknown joint.
 
         Args:
             offsets: (J, 3) in the parents' link frames, m (the root's row is ignored), or (3,) by joint name.
-
-        Raises:
-            InvalidInputError, UnknownNameError: wrong shape, not finite, zero length, an unknown joint.
         """
         new = np.array(self.joint_offsets)
         if isinstance(offsets, Mapping):
@@ -259,13 +253,11 @@ class SkeletonModel:
         return SkeletonModel(self.table.scaled_to(new))
 
     def with_bone_lengths(self, lengths: Mapping[str, float]) -> SkeletonModel:
-        """Return the skeleton with other bone lengths.
+        """Return the skeleton with other bone lengths. `InvalidInputError`, `UnknownNameError`: a length is not
+        positive, or an unknown joint.
 
         Args:
             lengths: distance from the parent by child joint, m (``{"LeftLeg": 0.41}`` is the thigh).
-
-        Raises:
-            InvalidInputError, UnknownNameError: a length is not positive, or an unknown joint.
         """
         for name, length in lengths.items():
             if name not in self.bone_lengths:

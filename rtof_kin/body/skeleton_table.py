@@ -182,10 +182,8 @@ class SkeletonTable:
 
 
 def read_skeleton_table(path: str | Path) -> SkeletonTable:
-    """Read and check a skeleton table.
-
-    Raises:
-        FileFormatError: not TOML, or an invalid field; the message names the joint or point.
+    """Read and check a skeleton table. `FileFormatError`: not TOML, or an invalid field; the message names the joint or
+    point.
     """
     path = Path(path)
     data = load_toml(path)

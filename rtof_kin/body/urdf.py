@@ -65,13 +65,10 @@ def to_urdf(table: SkeletonTable) -> str:
 
 
 def read_urdf(path: str | Path, table_path: str | Path) -> tuple[SkeletonTable, str]:
-    """Read a URDF that was made from a skeleton table.
+    """Read a URDF that was made from a skeleton table. `FileFormatError`: not a URDF, or of another skeleton.
 
     Returns:
         The table scaled to the bone offsets of the URDF, and the text of the URDF.
-
-    Raises:
-        FileFormatError: not a URDF, or of another skeleton.
     """
     table = read_skeleton_table(table_path)
     text = read_text(path, "a URDF", _LARGEST_URDF)

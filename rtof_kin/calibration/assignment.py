@@ -136,17 +136,15 @@ class Assignment:
 def assign_sensors(
     log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence | None = None, *, candidates: Candidates | None = None
 ) -> Assignment:
-    """Find the segment of each sensor from motion. Mountings and headings may be anything.
+    """Find the segment of each sensor from motion. Mountings and headings may be anything. `UnknownNameError`: an
+    unknown segment or sensor; `InvalidInputError`: more sensors than segments, too little data, or without poses no
+    acceleration.
 
     Args:
         log: the sensors; with poses, on their clock.
         poses: lifted from a video; None: motion alone.
         candidates: segments that may have a sensor, of all or by sensor (others: all); by default those of
             the skeleton's usual sensors. There may be fewer sensors than segments.
-
-    Raises:
-        UnknownNameError: an unknown segment or sensor.
-        InvalidInputError: more sensors than segments, too little data, or without poses no acceleration.
     """
     motions = sensor_motions(log)
     segments, allowed = _possible(motions.names, skeleton, candidates)
@@ -174,14 +172,12 @@ def match_sensors(
     allowed: NDArray[np.bool_] | None = None,
     prior: Score | None = None,
 ) -> Matching:
-    """Return the posterior of assignments of sensors to segments.
+    """Return the posterior of assignments of sensors to segments. `InvalidInputError`: without poses, a segment that
+    nothing was learned of, or no accelerations.
 
     Args:
         allowed: (S, K).
         prior: log-probability (C,) of assignments (C, S); default: symmetric ones.
-
-    Raises:
-        InvalidInputError: without poses, a segment that nothing was learned of, or no accelerations.
     """
     score = shipped_score()
     learned = motions.accelerated and set(segments) <= set(score.segments)
@@ -310,15 +306,13 @@ def check_assignment(
     """Check that sensors are where they are declared. A map without errors is taken to be likelier.
 
     The calibration is not used, so that neither a wrong mounting nor a wrong heading matters. How it has to change is
-    then chosen by the likelihood of the calibrated motion (`inertial.setup_diagnosis`).
+    then chosen by the likelihood of the calibrated motion (`inertial.setup_diagnosis`). `UnknownNameError`: a sensor or
+    segment does not exist; `InvalidInputError`: two sensors on one segment, too little data, or no evidence without
+    poses.
 
     Args:
         log: the sensors; with poses, on their clock. joints: sensor -> segment, by its proximal joint;
             others are ignored. skeleton: the subject's. poses: lifted from a video, if there is one.
-
-    Raises:
-        UnknownNameError: a sensor or segment does not exist.
-        InvalidInputError: two sensors on one segment, too little data, or no evidence without poses.
     """
     indices_of("sensor", list(joints), log.names)
     indices_of("segment", list(joints.values()), skeleton.names)

@@ -237,16 +237,13 @@ def estimate_camera(
 ) -> CameraEstimate:
     """Find the unknowns at which the evidence and the declared camera agree best.
 
-    Gauss-Newton steps with finite differences, from the likeliest of some pitches at which the feet stay on
-    the floor; the covariance is the inverse of the Hessian.
+    Gauss-Newton steps with finite differences, from the likeliest of some pitches at which the feet stay on the floor;
+    the covariance is the inverse of the Hessian. `ViewError`: with the declared camera the person is behind it.
 
     Args:
         evidence: of the recording, reconstructed with a camera; always of the same length, the height of the floor
             first.
         progress: called with (steps done, steps in all).
-
-    Raises:
-        ViewError: with the declared camera the person is behind it.
     """
     at, report = _Search(camera, evidence), progress or (lambda *_: None)
     moving, prior = at.moving, at.prior

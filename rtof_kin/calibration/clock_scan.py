@@ -59,10 +59,8 @@ class AngularVelocities:
 
 
 def velocities_in_image(poses: PoseSequence, keypoints: KeypointSequence, skeleton: SkeletonModel) -> AngularVelocities:
-    """Return the segments' angular velocities in world as an image shows them.
-
-    Raises:
-        CalibrationError: no person is seen for two seconds.
+    """Return the segments' angular velocities in world as an image shows them. `CalibrationError`: no person is seen
+    for two seconds.
     """
     skeleton.check_joints(poses.names)
     shown = poses.valid.any(axis=1) & (keypoints.seen.mean(axis=1) > 0)
@@ -142,14 +140,11 @@ class ClockScan:
     def of(
         cls, seen: AngularVelocities, sensed: AngularVelocities, around: float, reach: float, known: bool = True
     ) -> Self:
-        """Scan the offsets from around - reach to around + reach.
+        """Scan the offsets from around - reach to around + reach. `CalibrationError`: no offset has enough overlap.
 
         Args:
             seen: (T, N) segments. sensed: (T', S) sensors. around, reach: s.
             known: sensors are on the segments in their order; else on the best ones at each offset.
-
-        Raises:
-            CalibrationError: no offset has enough overlap.
         """
         S, every = sensed.w_world.shape[1], 1 if known else _COARSE
         offsets, lags = _offsets(seen, sensed, around, reach, every)

@@ -168,9 +168,7 @@ def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
 
 def small_offset(seen: AngularVelocities, sensed: AngularVelocities) -> ClockEstimate:
     """Estimate offset and drift of clocks that agree within `REACH`; 0 drift unless it is sure.
-
-    Raises:
-        CalibrationError: they have too little in common.
+    `CalibrationError`: they have too little in common.
     """
     scan = ClockScan.of(seen, sensed, 0.0, REACH)
     offset, sigma = scan.scan.best, scan.sigma
@@ -288,13 +286,11 @@ def _doubt(scan: ClockScan, around: float, reach: float, sure: float = SURE) -> 
 
 def find_video_offset(first: PoseSequence, second: PoseSequence, around: float | None = None) -> ClockEstimate:
     """Return the offset, to be added to the times of the second video, at which two lifts of one person agree.
+    `InvalidInputError`: they have too little in common at every offset.
 
     Args:
         first, second: (T, J) and (T', J) poses of the same joints, at even times, each in its own world.
         around: [s] search within a second of this offset only.
-
-    Raises:
-        InvalidInputError: they have too little in common at every offset.
     """
     v_1, v_2 = _velocities(first), _velocities(second)
     K, M = len(v_1), len(v_2)

@@ -52,16 +52,13 @@ def calibrate(
     progress: Callable[[int, int], None] | None = None,
     without_slipped: bool = False,
 ) -> SelfCalibration:
-    """Estimate the unknowns of a recording.
+    """Estimate the unknowns of a recording. `CalibrationError`: there are no IMUs, or they and the video have too
+    little time in common; `SolverError`: the recording cannot be solved.
 
     Args:
         slices: the recording, or parts of it in the order of time; of a long one some tens of seconds, spread over
             it, are enough.
         priors: by default `CalibrationPriors.of` the recording. progress: called with (steps done, steps in all).
-
-    Raises:
-        CalibrationError: there are no IMUs, or they and the video have too little time in common.
-        SolverError: the recording cannot be solved.
     """
     recording = slices[0].recording
     priors = priors or CalibrationPriors.of(recording)

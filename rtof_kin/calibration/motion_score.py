@@ -56,10 +56,8 @@ class SensorMotions(OverTime):
 
 
 def sensor_motions(log: SensorLog) -> SensorMotions:
-    """Return the motion of the sensors over the time that all of them recorded.
-
-    Raises:
-        InvalidInputError: no common time, or a sensor without orientation that has no raw samples either.
+    """Return the motion of the sensors over the time that all of them recorded. `InvalidInputError`: no common time, or
+    a sensor without orientation that has no raw samples either.
     """
     if not log.streams:
         raise InvalidInputError(f"{log.path} has no sensor; name a file or folder with sensor data")
@@ -367,10 +365,8 @@ def image_scores(
 
     On a segment it has ``Rz(h) R_inertial_sensor(t) R_sensor_bone = R_world_bone(t)`` for one heading h and one
     mounting, and ``Rz(h) w_inertial(t) = w_world(t)`` for any mounting. At each heading the best mounting follows in
-    closed form (Wahba 1965), and the heading from a grid, refined once.
-
-    Raises:
-        InvalidInputError: poses and sensors have no two seconds in common.
+    closed form (Wahba 1965), and the heading from a grid, refined once. `InvalidInputError`: poses and sensors have no
+    two seconds in common.
     """
     skeleton.check_joints(poses.names)
     index = list(skeleton.index(*segments))

@@ -300,12 +300,10 @@ def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, 
         sigma_prior = [0.035, 0.035, 0.07]
         known = 0.4
 
+    `OutputExistsError`: the file exists and overwriting was not asked for; `RtofError`: it cannot be written.
+
     Args:
         overwrite: whether an existing file is replaced.
-
-    Raises:
-        OutputExistsError: the file exists and overwriting was not asked for.
-        RtofError: it cannot be written.
     """
     quantities: dict[str, dict[str, Any]] = {}
     for q in calibration.quantities:

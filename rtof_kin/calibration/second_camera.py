@@ -265,7 +265,8 @@ def estimate_second_camera(
     around: float | None = None,
     sigma_focal: tuple[float, float] | None = None,
 ) -> SecondCamera:
-    """Estimate a second camera, which stands anywhere, from the moving person.
+    """Estimate a second camera, which stands anywhere, from the moving person. `CalibrationError`: the two have too
+    little in common; `InvalidInputError`: a video is too short, or the clocks have too little in common.
 
     Args:
         first: keypoints of the first camera, whose pose is the world's. poses: solved of them, with sensors or without.
@@ -275,10 +276,6 @@ def estimate_second_camera(
         around: [s] offset of the clocks that is known within a second; None searches everywhere.
         sigma_focal: relative standard deviation of each focal length as given, 0 where it is calibrated; by
             default as the cameras state (`Camera.uncertainty`), and 10 % where they state nothing.
-
-    Raises:
-        CalibrationError: the two have too little in common.
-        InvalidInputError: a video is too short, or the clocks have too little in common.
     """
     clock = find_video_offset(poses, lifted, around)
     view = second.on_clock(second.times + clock.offset)

@@ -205,14 +205,11 @@ class SequentialCalibration:
         priors: CalibrationPriors | None = None,
         start: SelfCalibration | None = None,
     ) -> None:
-        """Begin with the priors, or with a saved calibration.
+        """Begin with the priors, or with a saved calibration. `CalibrationError`: nothing is open.
 
         Args:
             problem: energy of a window, of which no other solver binds data.
             priors: `sigma_delay`, `sigma_heading` and `sigma_swing` say what is open; by default `DELAY_ALONE`.
-
-        Raises:
-            CalibrationError: nothing is open.
         """
         priors = priors or DELAY_ALONE
         self._problem, self._settings = problem, settings
@@ -239,13 +236,11 @@ class SequentialCalibration:
         self._quantities = self._listed()
 
     def update(self, window: WindowObservations) -> Slices[None]:
-        """Take a window into account, in slices of one or two ms; one without motion is left out.
+        """Take a window into account, in slices of one or two ms; one without motion is left out. `SolverError`: the
+        window's Hessian is not positive definite; nothing has changed then.
 
         Args:
             window: of as many frames as the problem has; later than those before.
-
-        Raises:
-            SolverError: the window's Hessian is not positive definite; nothing has changed then.
         """
         if _turning(window.given) < _STILL:
             return

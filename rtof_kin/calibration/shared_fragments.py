@@ -219,14 +219,12 @@ class SharedFragments:
     def estimate(
         self, rounds: int, progress: Callable[[int, int], None] | None = None, start: Array | None = None
     ) -> Shared:
-        """Estimate the unknowns, and the prior of those kinds that shrink.
+        """Estimate the unknowns, and the prior of those kinds that shrink. `SolverError`: a fragment cannot be solved,
+        or the unknowns' Hessian is not positive definite.
 
         Args:
             progress: called with (steps done, steps in all).
             start: (G,) initial values; by default zero, and a searched delay.
-
-        Raises:
-            SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
         """
         report = progress or (lambda done, total: None)
         if not self._states:

@@ -68,10 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def dispatch(arguments: list[str]) -> int:
-    """Run one command and return its exit code; errors are raised.
-
-    Raises:
-        RtofError: the arguments are wrong, or an error of the command.
+    """Run one command and return its exit code; errors are raised. `RtofError`: the arguments are wrong, or an error of
+    the command.
     """
     import errno
     import logging
@@ -102,11 +100,7 @@ def dispatch(arguments: list[str]) -> int:
 
 
 def check(arguments: list[str]) -> None:
-    """Check the arguments of a command without running it.
-
-    Raises:
-        InvalidInputError: they are wrong, or ask for help.
-    """
+    """Check the arguments of a command without running it. `InvalidInputError`: they are wrong, or ask for help."""
     from cyclopts import CycloptsError
 
     from rtof_kin.core.errors import InvalidInputError

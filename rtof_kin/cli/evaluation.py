@@ -107,11 +107,7 @@ def _evaluate_angles(
 
 
 def _measure(name: str, root: Path, folder: Path, json: Path | None = None, **how: Any) -> int:
-    """Measure on a data set and print the tables; 1 where a take failed.
-
-    Raises:
-        RtofError: nothing could be measured.
-    """
+    """Measure on a data set and print the tables; 1 where a take failed. `RtofError`: nothing could be measured."""
     from rtof_kin.protocols import run
     from rtof_kin.reporting.document import show
 

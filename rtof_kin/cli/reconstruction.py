@@ -37,11 +37,7 @@ if TYPE_CHECKING:
 def solver_settings(
     settings: ReconstructionSettings, paper: bool, mode: str | None = None, calibrate_only: bool = False
 ) -> ReconstructionSettings:
-    """Return the settings that the options choose.
-
-    Raises:
-        InvalidInputError: options contradict each other.
-    """
+    """Return the settings that the options choose. `InvalidInputError`: options contradict each other."""
     if paper and settings.space == "joint":
         raise InvalidInputError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
     if mode in ("lift", "sf2") and (paper or settings.space):

@@ -187,10 +187,8 @@ def _print_run(done: Run, seconds: float) -> None:
 
 
 def detector_of(setup: SetupSettings, fetch: str | None, update: Progress | None = None) -> Detector:
-    """Return the detector that the options ask for; downloads models where they say so.
-
-    Raises:
-        RtofError: no detector is at hand, or the download failed.
+    """Return the detector that the options ask for; downloads models where they say so. `RtofError`: no detector is at
+    hand, or the download failed.
     """
     from rtof_kin.vision.model_download import fetch_models, model_set
     from rtof_kin.vision.person_detector import choose_detector

@@ -113,9 +113,7 @@ class Reliability(NamedTuple):
 
 def reliability(values: Array, kind: Literal["ICC(2,1)", "ICC(3,1)"]) -> Reliability:
     """Return the reliability of a measure (N, k) of N people, k times; people with a NaN do not count.
-
-    Raises:
-        MissingPackageError: pingouin is not installed.
+    `MissingPackageError`: pingouin is not installed.
     """
     known = values[np.isfinite(values).all(axis=1)]
     people, repeats = known.shape

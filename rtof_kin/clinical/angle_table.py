@@ -124,13 +124,10 @@ class AngleTable:
 
 
 def angle_table(skeleton: SkeletonTable) -> AngleTable:
-    """Return the table of clinical angles of a skeleton.
+    """Return the table of clinical angles of a skeleton. `UnknownNameError`: the skeleton is not in that file.
 
     Args:
         skeleton: one of those in ``models/clinical_angles.toml``.
-
-    Raises:
-        UnknownNameError: the skeleton is not in that file.
     """
     return _table(skeleton, "joint")
 

@@ -134,7 +134,8 @@ class ClinicalAngles:
 def clinical_angles(
     motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None
 ) -> ClinicalAngles:
-    """Compute clinical joint angles from segment orientations.
+    """Compute clinical joint angles from segment orientations. `InvalidInputError`: poses without a skeleton, or
+    missing joints; `UnknownNameError`: the skeleton has no clinical table.
 
     Args:
         motion: a motion, or poses of `skeleton`'s joints. Poses whose provenance is NOBODY throughout count
@@ -143,10 +144,6 @@ def clinical_angles(
 
     Returns:
         All angles of the table, radians, relative to the anatomical standing posture.
-
-    Raises:
-        InvalidInputError: poses without a skeleton, or missing joints.
-        UnknownNameError: the skeleton has no clinical table.
     """
     if isinstance(motion, PoseSequence):
         if skeleton is None:
@@ -279,13 +276,11 @@ _PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation")
 
 
 def opensim_angles(found: OpenSimTable) -> tuple[ClinicalAngles, tuple[str, ...]]:
-    """Return clinical angles, and the coordinates that are none of them.
+    """Return clinical angles, and the coordinates that are none of them. `InvalidInputError`: no coordinate is a
+    clinical angle.
 
     Args:
         found: coordinates of this package's model or another.
-
-    Raises:
-        InvalidInputError: no coordinate is a clinical angle.
     """
     if found.skeleton:
         return _of_own_model(found, SkeletonModel.named(found.skeleton)), ()
@@ -342,15 +337,13 @@ _OWN_ZERO: Final = ("rotation", "shoulder", "elbow", "wrist")  #: Parts of names
 def relative_to_standing(angles: ClinicalAngles, paths: BodyPaths) -> ClinicalAngles:
     """Return angles from which those of the person's quiet standing are subtracted.
 
-    Pelvis tilt and list, spine, hips, knees and ankles are changed; headings, rotations about long axes and
-    the arms, which hang in one way or another, are not. Standing is the longest time with upright legs and
-    trunk in which no segment turns faster than 0.5 rad/s, and its angles are the medians there.
+    Pelvis tilt and list, spine, hips, knees and ankles are changed; headings, rotations about long axes and the arms,
+    which hang in one way or another, are not. Standing is the longest time with upright legs and trunk in which no
+    segment turns faster than 0.5 rad/s, and its angles are the medians there. `InvalidInputError`: no standing still
+    for half a second, or the paths do not have it.
 
     Args:
         paths: of the same motion, with `BodyPaths.standing`.
-
-    Raises:
-        InvalidInputError: no standing still for half a second, or the paths do not have it.
     """
     if paths.standing is None:
         raise InvalidInputError("angles relative to standing: the paths are without the frames of standing")

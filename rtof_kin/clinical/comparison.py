@@ -410,14 +410,12 @@ def compare_sides(
 ) -> tuple[Comparison, str]:
     """Return left (A) against right (B) of a motion, and why on this axis, for the command and the report.
 
-    Without one it is by gait cycle if the motion is walking with two strides of each side, else by the
-    ranges of the whole recording: its repetitions may be of both legs, of the right or of the left one.
+    Without one it is by gait cycle if the motion is walking with two strides of each side, else by the ranges of the
+    whole recording: its repetitions may be of both legs, of the right or of the left one. `InvalidInputError`,
+    `UnknownNameError`: see `compare`.
 
     Args:
         names, kind: see `compare`.
-
-    Raises:
-        InvalidInputError, UnknownNameError: see `compare`.
     """
     left, right = sides_of(one)
     if by is not None:

@@ -232,13 +232,11 @@ class Alignment:
 
 
 def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: float = float("inf")) -> Alignment:
-    """Estimate the shift with the best agreement, to a fraction of a frame.
+    """Estimate the shift with the best agreement, to a fraction of a frame. `InvalidInputError`: there is no common
+    angle, or too few samples to compare velocities.
 
     Args:
         reach: s, largest shift that is considered.
-
-    Raises:
-        InvalidInputError: there is no common angle, or too few samples to compare velocities.
     """
     start_a, first = _velocities(a, names)
     start_b, second = _velocities(b, names)

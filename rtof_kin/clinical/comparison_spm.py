@@ -63,10 +63,8 @@ class ComparisonSpm:
 
 
 def compare_spm(found: Comparison) -> ComparisonSpm:
-    """Return the SPM of a comparison by cycle or repetition.
-
-    Raises:
-        InvalidInputError: its axis has no repeats. MissingPackageError: spm1d is not installed.
+    """Return the SPM of a comparison by cycle or repetition. `InvalidInputError`: its axis has no repeats;
+    `MissingPackageError`: spm1d is not installed.
     """
     if found.by not in ("cycle", "repetition") or found.axis is None:
         raise InvalidInputError(

@@ -239,7 +239,9 @@ def follow_up(
     better: Mapping[str, Better] | None = None,
     names: Sequence[str] = (),
 ) -> FollowUp:
-    """Compare the visits of one person with a baseline, measure by measure.
+    """Compare the visits of one person with a baseline, measure by measure. `InvalidInputError`: fewer than two visits,
+    a motion that occurs twice, no common measure, or a trial without what is requested; `UnknownNameError`: a measure
+    that there is not, or no such direction.
 
     Args:
         visits: two or more, in their order, each with trials of the same movement.
@@ -248,10 +250,6 @@ def follow_up(
             have two of, else the whole recordings.
         better: measure -> direction that is better, beside `BETTER`.
         names: measures to follow, or angles with all of theirs; none for all. Fewer are tested more sharply.
-
-    Raises:
-        InvalidInputError: fewer than two visits, a motion that occurs twice, no common measure, or a trial
-            without what is requested. UnknownNameError: a measure that there is not, or no such direction.
     """
     visits = tuple(visits)
     _check(visits, baseline)

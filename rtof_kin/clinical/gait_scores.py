@@ -210,13 +210,11 @@ class DeviationIndex:
 
 
 def gait_features(reference: GaitReference) -> GaitFeatures:
-    """Return the features of a reference.
+    """Return the features of a reference. `InvalidInputError`: it has only means, or too few people, or people without
+    differences.
 
     Args:
         reference: with the curves of at least `FEWEST` people.
-
-    Raises:
-        InvalidInputError: it has only means, or too few people, or people without differences.
     """
     if reference.curves is None:
         raise InvalidInputError(
@@ -268,13 +266,11 @@ LEAST_STRIDES: Final = 3  #: Strides of each side that a person needs
 def build_reference(
     people: Mapping[str, GaitCycles], *, least_strides: int = LEAST_STRIDES, **about: Any
 ) -> tuple[GaitReference, dict[str, str]]:
-    """Return a reference, and the people that are left out with the reasons.
+    """Return a reference, and the people that are left out with the reasons. `InvalidInputError`: fewer than two people
+    are left, or a licence or source is missing.
 
     Args:
         least_strides: see `LEAST_STRIDES`. about: fields of `GaitReference`: licence, source, system, zero, notes.
-
-    Raises:
-        InvalidInputError: fewer than two people are left, or a licence or source is missing.
     """
     kept, left_out = {}, {}
     for code, cycles in people.items():

@@ -94,14 +94,12 @@ def joined_cycles(parts: Sequence[GaitCycles]) -> GaitCycles:
 
 def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False, few: bool = False) -> GaitCycles:
     """Return the nine variables over the strides of a motion; none if it is no gait, with the reason.
+    `InvalidInputError`: no quiet standing, but `from_standing` is set.
 
     Args:
         motion: reconstructed; read in blocks.
         from_standing: whether angles are relative to the person's quiet standing.
         few: whether a pass with one stride counts, as one of several of a person.
-
-    Raises:
-        InvalidInputError: no quiet standing, but `from_standing` is set.
     """
     source = MotionSource.of(motion)
     tables = angle_table(source.skeleton.table), foot_table(source.skeleton.table)

@@ -84,13 +84,10 @@ class PathCollector:
 def body_paths(
     motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
 ) -> BodyPaths:
-    """Return the paths of a motion.
+    """Return the paths of a motion. `InvalidInputError`: the poses are of another skeleton.
 
     Args:
         motion: a motion, or poses of all joints of `skeleton`.
-
-    Raises:
-        InvalidInputError: the poses are of another skeleton.
     """
     if isinstance(motion, PoseSequence):
         if skeleton is None:

@@ -72,9 +72,7 @@ def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Repeated) -
     """Find squats (standing - down - standing), or rises from a seat to standing.
 
     The height of the pelvis is measured from the ankles, or in world if no ankle is observed.
-
-    Raises:
-        UnknownNameError: another kind.
+    `UnknownNameError`: another kind.
     """
     if kind not in KINDS:
         raise UnknownNameError("kind of repetition", [kind], list(KINDS))

@@ -144,16 +144,14 @@ def joint_torques(
 ) -> JointTorques:
     """Compute inverse dynamics of a motion with de Leva's body segment masses.
 
-    Configurations are low-pass filtered at 6 Hz and differentiated twice.
+    Configurations are low-pass filtered at 6 Hz and differentiated twice. `InvalidInputError`: implausible values, or
+    wrong support.
 
     Args:
         weight_kg: body mass, kg.
         height: standing height, m; a skeleton more than 5 % off is noted, nothing is rescaled.
         sex: de Leva's column, None for the mean.
         support: (T,) the foot that bears all load, see `FootContacts.support`; None if unknown.
-
-    Raises:
-        InvalidInputError: implausible values, or wrong support.
     """
     source = MotionSource.of(motion)
     skeleton = source.skeleton.with_mass(weight_kg, sex)

@@ -316,12 +316,10 @@ LEAST_REPEATS: Final = 2  #: Fewest repetitions in each trial by which trials ar
 
 def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[Movement, str, str, dict[str, str]]:
     """Return what is measured over, the kind of the repetitions, why, and trials left out -> why.
+    `InvalidInputError`: a visit does not have what is requested; `UnknownNameError`: no such kind.
 
     Args:
         by: None to choose. kind: of the repetitions; '' to choose.
-
-    Raises:
-        InvalidInputError: a visit does not have what is requested. UnknownNameError: no such kind.
     """
     every = [one for visit in visits for one in visit.trials]
     walking = [[one for one in visit.trials if not _not_gait(one)] for visit in visits]

@@ -76,15 +76,13 @@ class CameraMotion:
 def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSequence:
     """Return keypoints as a camera without distortion that stands still in the mean orientation sees them.
 
-    The declared pose of the camera is taken for that of the mean orientation. Where the motion knows gravity,
-    the declared heading and position stay and the tilt is the measured one.
+    The declared pose of the camera is taken for that of the mean orientation. Where the motion knows gravity, the
+    declared heading and position stay and the tilt is the measured one. `InvalidInputError`: the motion has no rotation
+    at the times of the keypoints, or was applied before.
 
     Returns:
         Keypoints with `Camera.stabilised`: they may lie beyond the borders of its image. They are missing
         where the rotation is unknown or they lie more than 65 degrees from the still camera's axis.
-
-    Raises:
-        InvalidInputError: the motion has no rotation at the times of the keypoints, or was applied before.
     """
     R, still = still_camera_of(keypoints.camera, keypoints.times, motion)
     return turned(keypoints, R, still)

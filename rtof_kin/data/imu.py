@@ -124,12 +124,10 @@ class ImuSequence(OverTime):
     @classmethod
     def joined(cls, parts: Sequence[Self], max_gap: float = 0.1) -> Self:
         """Join sensors; if their times differ, resample all to even times at the fastest sensor's rate.
+        `InvalidInputError`: there are none, or two of the same name.
 
         Args:
             parts: any number of sensors each. max_gap: longest gap that is interpolated, s; beyond it values are NaN.
-
-        Raises:
-            InvalidInputError: there are none, or two of the same name.
         """
         if not parts:
             raise InvalidInputError("IMUs to join: there are none")

@@ -87,14 +87,11 @@ class Declaration:
         return _UPRIGHT[self.inertial_axes] @ R
 
     def specific_force(self, acceleration: Array, R_inertial_sensor: Array | None = None) -> Array:
-        """Return f_sensor (T, 3), m/s^2.
+        """Return f_sensor (T, 3), m/s^2. `InvalidInputError`: it is required and not given.
 
         Args:
             acceleration: (T, 3) of the file.
             R_inertial_sensor: (T, 3, 3) from `rotations`; required if gravity was removed or axes are inertial.
-
-        Raises:
-            InvalidInputError: it is required and not given.
         """
         a = np.asarray(acceleration, dtype=np.float64) * _METRES[self.acceleration_unit]
         if self.gravity == "included" and self.acceleration_axes == "sensor":

@@ -219,10 +219,7 @@ def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
 
     Each bone has its median length. A segment with one child has the direction of the table. For one with several
     (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes analysis over the frames,
-    without scale (Gower 1975), in axes nearest to the table's.
-
-    Raises:
-        InvalidInputError: a bone has no length.
+    without scale (Gower 1975), in axes nearest to the table's. `InvalidInputError`: a bone has no length.
     """
     lengths = bone_lengths(skeleton, p_world_joint)
     named = dict(zip(skeleton.names[1:], lengths[1:].tolist(), strict=True))

@@ -80,11 +80,8 @@ def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
       w x y z from camera to world, ``translation`` the camera's centre, mm.
 
     Human3.6M orders the two tangential coefficients the other way round than OpenCV and halves some terms: projections
-    differ by 0.1 px where people stand, by up to 1.4 px in corners.
-
-    Raises:
-        FileFormatError: another kind of file, or a missing or invalid entry.
-        UnitError: an implausible position, not in millimetres.
+    differ by 0.1 px where people stand, by up to 1.4 px in corners. `FileFormatError`: another kind of file, or a
+    missing or invalid entry; `UnitError`: an implausible position, not in millimetres.
     """
     path = Path(path)
     readers = {".json": _read_json, ".py": _read_source}

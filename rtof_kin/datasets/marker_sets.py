@@ -165,10 +165,8 @@ def _index(take: Take) -> int:
 
 
 def read_camera(intrinsics: Path, extrinsics: Path) -> Camera:
-    """Read a camera; MATLAB multiplies rows from the left and counts pixels from 1.
-
-    Raises:
-        FileFormatError: an array is missing, of another shape, or no camera.
+    """Read a camera; MATLAB multiplies rows from the left and counts pixels from 1. `FileFormatError`: an array is
+    missing, of another shape, or no camera.
     """
     shapes = {"IntrinsicMatrix": (3, 3), "RadialDistortion": (2,)}
     own = _arrays(intrinsics, shapes)
@@ -189,11 +187,8 @@ def _arrays(path: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
 
 
 def read_motions(path: Path) -> dict[str, Any]:
-    """Read a person's ``F_v3d_Subject_1.mat``: names of the motions, flags30 and flags120 (M, 2) from 1, and
-    joint centres, points (T, 20, 3).
-
-    Raises:
-        FileFormatError: not that struct, a field missing or of another shape, or damaged.
+    """Read a person's ``F_v3d_Subject_1.mat``: names of the motions, flags30 and flags120 (M, 2) from 1, and joint
+    centres, points (T, 20, 3). `FileFormatError`: not that struct, a field missing or of another shape, or damaged.
     """
     variables = matlab_variables(path, simplify_cells=True)
     struct: Any = next((value for name, value in variables.items() if name.startswith("Subject_")), None)

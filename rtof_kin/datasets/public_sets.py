@@ -116,11 +116,8 @@ def existing(path: Path, what: str, remedy: str) -> Path:
 
 
 def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Array]]) -> SensorLog:
-    """Return the sensors of a file that has orientations alone: times (T,), s, and quaternions w, x, y, z
-    (T, 4) by name.
-
-    Raises:
-        FileFormatError: no quaternions, or no sensors.
+    """Return the sensors of a file that has orientations alone: times (T,), s, and quaternions w, x, y, z (T, 4) by
+    name. `FileFormatError`: no quaternions, or no sensors.
     """
     for sensor, (_, quaternions) in sensors.items():
         norm = float(np.nanmedian(np.linalg.norm(quaternions, axis=1)))

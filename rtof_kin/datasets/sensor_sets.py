@@ -148,10 +148,8 @@ class _MetadataTable(InputTable):
 def read_orientations(path: Path) -> SensorLog:
     """Read the orientation of every sensor of an ``xsens_imu_data_*.csv``.
 
-    Components are found by their names, as files order them differently.
-
-    Raises:
-        FileFormatError: no time, an incomplete sensor, no quaternions, or damaged.
+    Components are found by their names, as files order them differently. `FileFormatError`: no time, an incomplete
+    sensor, no quaternions, or damaged.
     """
     times, sensors = _columns(path, "time [s]", _QUATERNION)
     for sensor, own in sensors.items():
@@ -163,9 +161,7 @@ def read_orientations(path: Path) -> SensorLog:
 
 def read_markers(path: Path) -> tuple[Array, dict[str, Array]]:
     """Read times (T,) s and markers (T, 3) m of a ``qualisys_marker_data_*.csv``; NaN where one is missing.
-
-    Raises:
-        FileFormatError: no time, no marker in mm, or damaged.
+    `FileFormatError`: no time, no marker in mm, or damaged.
     """
     times, markers = _columns(path, "time_[s]", _MARKER)
     points = {
@@ -285,9 +281,7 @@ class Vidimu(PublicSet):
 
 def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
     """Read the quaternions of one trial's ``.raw`` file, without the N-pose in the first instant.
-
-    Raises:
-        FileFormatError: another header, an unknown or missing sensor, no numbers, or damaged.
+    `FileFormatError`: another header, an unknown or missing sensor, no numbers, or damaged.
     """
     lines = read_text(path, "VIDIMU's quaternions").splitlines()
     header = tuple(name.strip() for name in lines[0].split(",")) if lines else ()

@@ -109,7 +109,8 @@ class Take:
         sensors: Sequence[str] | None = None,
         posture: bool = True,
     ) -> Recording:
-        """Return the take as recorded by one camera and some sensors, with the truth.
+        """Return the take as recorded by one camera and some sensors, with the truth. `UnknownNameError`: no such
+        camera or sensor; `InvalidInputError`: keypoints of other times, or noise on a detector's keypoints.
 
         Args:
             camera: number, 1 to 8. sensors: names, by default all.
@@ -118,10 +119,6 @@ class Take:
             noise_px: standard deviation of white noise on projected joints, px per axis.
             seed: of the noise; takes and cameras have different noise.
             posture: whether the reference's T-pose is known, as its joint offsets are.
-
-        Raises:
-            UnknownNameError: no such camera or sensor. InvalidInputError: keypoints of other times, or noise on a
-                detector's keypoints.
         """
         self.camera(camera)
         if noise_px and keypoints is not None:
@@ -203,11 +200,8 @@ class TotalCapture:
         }
 
     def take(self, subject: str, name: str) -> Take:
-        """Read a take of S1 to S5, such as acting3.
-
-        Raises:
-            UnknownNameError: no file of it was found. FileFormatError: no ground truth, a damaged file, or
-                files that do not belong together.
+        """Read a take of S1 to S5, such as acting3. `UnknownNameError`: no file of it was found; `FileFormatError`: no
+        ground truth, a damaged file, or files that do not belong together.
         """
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
@@ -319,10 +313,8 @@ def check_camera(camera: int) -> list[Check]:
 
 
 def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> list[Check]:
-    """Check the median reprojection error of the reference's joints in a camera, 1 to 8.
-
-    Raises:
-        UnknownNameError: the take has no such camera.
+    """Check the median reprojection error of the reference's joints in a camera, 1 to 8. `UnknownNameError`: the take
+    has no such camera.
     """
     seen_by = take.camera(camera)
     names = [name for name in keypoints.names if name in take.truth.names]

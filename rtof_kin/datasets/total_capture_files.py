@@ -84,10 +84,8 @@ def only_one(candidates: list[Path]) -> Path | None:
 
 
 def find_files(root: str | Path) -> FileIndex:
-    """Search a folder for the dataset's files.
-
-    Raises:
-        FileFormatError: there is no such folder, or none of the dataset's files in it.
+    """Search a folder for the dataset's files. `FileFormatError`: there is no such folder, or none of the dataset's
+    files in it.
     """
     root = Path(root)
     if not root.is_dir():
@@ -159,10 +157,8 @@ def read_detections(
     skeleton in its order). A .csv has the columns of a recording's keypoints. Without times, frame k is frame k of the
     video. With a layout of a detector's points, or `RECOGNISE`, they are its own files, of any format in
     `rtof_kin.vision.keypoint_files` (a folder of .json is named like a file), whose points are converted to landmarks.
-
-    Raises:
-        FileFormatError: no file, different files, or one that is damaged or of another format or layout.
-        UnknownNameError: a landmark that the skeleton does not have, or no such layout.
+    `FileFormatError`: no file, different files, or one that is damaged or of another format or layout;
+    `UnknownNameError`: a landmark that the skeleton does not have, or no such layout.
     """
     skeleton = SkeletonModel.default()
     path = _find(Path(folder), subject, take, number, _OWN_FORMATS if layout is None else FORMATS)

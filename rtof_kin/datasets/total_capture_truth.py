@@ -51,9 +51,7 @@ class Truth:
 
 def read_truth(take: tuple[str, str], positions: Path, orientations: Path | None) -> Truth:
     """Read positions and orientations of a take; without orientations they are derived from the positions.
-
-    Raises:
-        FileFormatError: damaged or contradicting files, wrong joints, or quaternions not in order x y z w.
+    `FileFormatError`: damaged or contradicting files, wrong joints, or quaternions not in order x y z w.
     """
     skeleton, notes = SkeletonModel.default(), list[str]()
     p = _INCH * _positions(positions, skeleton, notes) @ WORLD_OF_VICON.T
@@ -108,9 +106,7 @@ def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Arra
 
 def rotations_of(path: Path, quat_wxyz: Array, names: Sequence[str]) -> tuple[Array, Mask]:
     """Return rotations (T, S, 3, 3) of quaternions (T, S, 4), NaN where a file has zeros, and where that is (T, S).
-
-    Raises:
-        FileFormatError: a quaternion is neither zero nor of norm 1.
+    `FileFormatError`: a quaternion is neither zero nor of norm 1.
     """
     norm = np.linalg.norm(quat_wxyz, axis=-1)
     absent = norm < 1e-6

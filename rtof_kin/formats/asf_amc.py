@@ -59,7 +59,8 @@ class _Skeleton:
 
 
 def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 120.0) -> ArticulatedMotion:
-    """Read an Acclaim skeleton and a motion of it, in the file's axes and units.
+    """Read an Acclaim skeleton and a motion of it, in the file's axes and units. `FileFormatError`: no such file,
+    incomplete, inconsistent or not finite; names the line.
 
     Args:
         rate_hz: frames per second, which the format does not state; CMU's are 120, a few 60.
@@ -67,9 +68,6 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
     Returns:
         The motion. Joints have the names of the bones that begin at them. ``unit_m`` comes from
         ``:units length``, which counts units per inch (CMU: 0.45, so 1 unit is 0.0564 m).
-
-    Raises:
-        FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
     """
     path_asf, path_amc = Path(path_asf), Path(path_amc)
     skeleton = _read_skeleton(path_asf)

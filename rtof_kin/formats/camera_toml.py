@@ -138,9 +138,7 @@ def camera_in_world(
 
 def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:
     """Write cameras, z up and in metres, which `read_camera_toml` reads back to rounding; Pose2Sim too.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
+    `OutputExistsError`: the file exists and `overwrite` is False; `RtofError`: it cannot be written.
     """
     tables: dict[str, dict[str, Any]] = {
         name: {

@@ -25,12 +25,10 @@ _KINDS: Final = {f"{s[0]} {name}": (kind, s) for s in ("left", "right") for kind
 
 def read_event_corrections(path: str | Path, times: Array) -> tuple[Correction, ...]:
     """Read foot strikes and foot offs as corrections that replace all events of the feet that have any there.
+    `FileFormatError`: no such file, damaged, or without an event of a foot; `InvalidInputError`: none is at the times.
 
     Args:
         path: a .c3d, or a text as Visual3D exports it. times: (T,) s, of the recording, whose clock it has.
-
-    Raises:
-        FileFormatError: no such file, damaged, or without an event of a foot. InvalidInputError: none is at the times.
     """
     path, who = Path(path), Path(path).name
     read = read_c3d_events(path) if path.suffix.lower() == ".c3d" else _table_events(path)

@@ -179,15 +179,12 @@ _LARGEST: Final = 16 * 2**20
 
 
 def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = (), **about: Any) -> GaitReference:
-    """Read a table.
+    """Read a table. `FileFormatError`: a cell, an instant or a variable is missing or wrong, which is named;
+    `UnknownNameError`: a name in `negated` is no variable.
 
     Args:
         negated: variables whose sign in the table is the opposite of `VARIABLES`.
         about: fields of `GaitReference`: people, licence, source, system, zero, speed_range, notes.
-
-    Raises:
-        FileFormatError: a cell, an instant or a variable is missing or wrong, which is named.
-        UnknownNameError: a name in `negated` is no variable.
     """
     if unknown := [name for name in negated if name not in NAMES]:
         raise UnknownNameError("gait variable", unknown, NAMES)

@@ -86,14 +86,12 @@ _HEADER: Final = 5  #: Lines above the first frame
 
 
 def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
-    """Read markers into a world with z up, metres.
+    """Read markers into a world with z up, metres. `FileFormatError`: no such file, incomplete or inconsistent; names
+    the line. `InvalidInputError`: unknown `up`.
 
     Args:
         up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`; y in OpenSim's and Pose2Sim's files.
             "opensim" is y with the x axis kept, as in files that go with an .osim of this package (`R_WORLD_GROUND`).
-
-    Raises:
-        FileFormatError: no such file, incomplete or inconsistent; names the line. InvalidInputError: unknown `up`.
     """
     path, R_world_file = Path(path), _world_of_file(up)
     lines = read_text(path, "a TRC file, which begins with PathFileType").splitlines()
@@ -204,8 +202,9 @@ class _Reader(c3d.Reader):  # type: ignore[misc]
 def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
     """Read the points of a file into a world with z up, metres.
 
-    A point with a negative residual is missing. Points without a label are named ``*1``, ``*2``, ... by
-    their place; angles, forces, moments and powers that a model stored as points are left out.
+    A point with a negative residual is missing. Points without a label are named ``*1``, ``*2``, ... by their place;
+    angles, forces, moments and powers that a model stored as points are left out. `FileFormatError`: no such file,
+    damaged, cut off, without points, or without unit or vertical axis; `InvalidInputError`: unknown `up`.
 
     Args:
         up: the axis of the file that points up, see `rtof_kin.formats.world_axes.UP`; by default the one that the
@@ -213,10 +212,6 @@ def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
 
     Returns:
         The points. Times count from the frame numbered 1, so a trimmed file does not begin at 0.
-
-    Raises:
-        FileFormatError: no such file, damaged, cut off, without points, or without unit or vertical axis.
-        InvalidInputError: unknown `up`.
     """
     path = Path(path)
     data = _read_bytes(path)

@@ -25,14 +25,12 @@ from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 
 def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> PoseSequence:
     """Compute rigid poses at the sensors' times, the root at the origin; gaps are interpolated on the geodesic. A root
-    without a sensor is upright, with the mean heading of the sensors near it.
+    without a sensor is upright, with the mean heading of the sensors near it. `UnknownNameError`: a sensor is on an
+    unknown joint; `InvalidInputError`: no sensor has data.
 
     Returns:
         Poses; orientations are observed where a sensor has data, and a joint has provenance IMU if the
         segment that ends in it has a sensor, else PRIOR.
-
-    Raises:
-        UnknownNameError: a sensor is on an unknown joint. InvalidInputError: no sensor has data.
     """
     joints, T = skeleton.index(*bone_imus.joints), len(bone_imus)
     seen = np.zeros((T, len(skeleton.names)), dtype=bool)

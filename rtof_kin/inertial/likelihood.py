@@ -134,13 +134,10 @@ class _Pair:
 
 
 class MotionLikelihood:
-    """Log-likelihoods of motions on one skeleton, in nats.
+    """Log-likelihoods of motions on one skeleton, in nats. `CalibrationError`: there is no pose prior of this skeleton.
 
     Args:
         seen: `seen_bones` at the motions' times.
-
-    Raises:
-        CalibrationError: there is no pose prior of this skeleton.
     """
 
     def __init__(self, skeleton: SkeletonModel, seen: Mapping[str, Array] | None = None) -> None:

@@ -171,10 +171,8 @@ def held_of_gravity(stream: SensorStream) -> str:
 def motion_of_gyroscope(stream: SensorStream, R_camera_phone: Array) -> CameraMotion:
     """Return the turning of a camera that a sensor is fixed to by R_camera_phone (3, 3) of `HELD`. With an
     accelerometer the orientation is that of `with_orientation` without magnetometer, and up is known; else angular
-    velocities are summed. A slow drift of the heading remains either way.
-
-    Raises:
-        InvalidInputError: there is neither, or there are too few samples.
+    velocities are summed. A slow drift of the heading remains either way. `InvalidInputError`: there is neither, or
+    there are too few samples.
     """
     R, up = stream.R_inertial_sensor, None
     if R is None and stream.w_sensor is None:

@@ -240,13 +240,11 @@ def usual_lever(joint: str, skeleton: SkeletonModel) -> Array:
 
 
 def calibrated(imus: ImuSequence | SensorLog, calibration: ImuCalibration) -> BoneImuSequence:
-    """Apply a calibration to sensors on any times.
+    """Apply a calibration to sensors on any times. `UnknownNameError`: a sensor is missing; `CalibrationError`: one has
+    no orientation.
 
     Returns:
         The sensors at `RATE_HZ` over their common time; a_world is NaN without accelerometer.
-
-    Raises:
-        UnknownNameError: a sensor is missing. CalibrationError: one has no orientation.
     """
     streams = _selected(imus, calibration.sensors)
     parts = []

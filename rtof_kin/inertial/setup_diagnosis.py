@@ -79,10 +79,8 @@ class Fault:
         return f"{self.what} ({ratio}{others}). {self.remedy}."
 
     def corrected(self, calibration: ImuCalibration) -> ImuCalibration:
-        """Return the calibration without the fault.
-
-        Raises:
-            CalibrationError: it has no sensor on one of the segments concerned.
+        """Return the calibration without the fault. `CalibrationError`: it has no sensor on one of the segments
+        concerned.
         """
         missing = [c.declared for c in self.changes if c.declared not in calibration.joints]
         if missing:

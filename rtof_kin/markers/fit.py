@@ -78,7 +78,8 @@ def fit_body(
     frames: int = _FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> MarkerBody:
-    """Fit joint offsets and marker places to all trials of one person.
+    """Fit joint offsets and marker places to all trials of one person. `InvalidInputError`: no trial, no known marker
+    set, or too few markers; `CalibrationError`: the markers do not fit a body.
 
     Args:
         trials: with one marker set, of which each may lack markers, as those of a standing trial alone; the more
@@ -87,10 +88,6 @@ def fit_body(
         places: of the markers; default: of the set that is recognised by their names.
         frames: number of frames that are used, chosen to be different.
         progress: called with (steps done, steps at most).
-
-    Raises:
-        InvalidInputError: no trial, no known marker set, or too few markers. CalibrationError: the markers do not fit a
-            body.
     """
     if not trials:
         raise InvalidInputError("trials: none; give at least one trial with markers")
@@ -125,9 +122,7 @@ def track(trial: MarkerSequence, body: MarkerBody) -> Motion:
     """Return the motion of a trial on a fitted body.
 
     Frames in which too few markers are seen follow from their neighbours by smoothness and are not valid.
-
-    Raises:
-        InvalidInputError: no frame shows the pelvis' markers.
+    `InvalidInputError`: no frame shows the pelvis' markers.
     """
     skeleton, observed = body.skeleton, _of(trial, body.places)
     model = _model(skeleton, body.places, _WIDE)

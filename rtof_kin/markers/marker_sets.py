@@ -82,9 +82,7 @@ class MarkerPlaces:
 
 def read_marker_sets(path: str | Path | None = None) -> _Table:
     """Read a table of marker sets; sets of a user's file may use the points of the shipped one.
-
-    Raises:
-        FileFormatError: missing or damaged, with the key.
+    `FileFormatError`: missing or damaged, with the key.
     """
     shipped = _parse(model_path(TABLE))
     if path is None:
@@ -113,15 +111,13 @@ def places_of(
     names: Sequence[str], table: str | Path | None = None, set_name: str | None = None, person: str | None = None
 ) -> MarkerPlaces:
     """Return the prior places of a trial's markers; markers that are not of the set are left out.
+    `InvalidInputError`: no set fits, or those of several people do; `FileFormatError`: a damaged table.
 
     Args:
         names: of a trial, perhaps with a person's name in front ("Anna:LASI").
         table: file with further sets; default: the shipped sets.
         set_name: one of the table's sets; default: the one with most markers in the trial.
         person: whose markers, where the trial has those of several.
-
-    Raises:
-        InvalidInputError: no set fits, or those of several people do. FileFormatError: a damaged table.
     """
     sets = read_marker_sets(table)
     if set_name is not None and set_name not in sets.set:

@@ -22,14 +22,11 @@ from rtof_kin.markers.settings import TRIALS, MarkerSettings
 
 
 def read_trial(path: str | Path, up: str | None = None) -> MarkerSequence:
-    """Read a trial into a world with z up, m.
+    """Read a trial into a world with z up, m. `FileFormatError`: missing, damaged, or another kind of file.
 
     Args:
         path: ``.c3d``, ``.trc``, or ``.npz`` with times (T,) s, names (M,) and p_world (T, M, 3) m, z up, NaN missing.
         up: axis of a C3D or TRC file that points up; default: the one that a C3D declares, y of a TRC.
-
-    Raises:
-        FileFormatError: missing, damaged, or another kind of file.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -97,13 +94,10 @@ def motion_of_markers(
     skeleton: SkeletonModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> MarkerResult:
-    """Return the motion of a marker trial on the person's skeleton.
+    """Return the motion of a marker trial on the person's skeleton. Errors of `read_trial`, `places_of` and `fit_body`.
 
     Args:
         path: see `read_trial`. skeleton: proportions to start from. progress: see `fit_body`.
-
-    Raises:
-        Those of `read_trial`, `places_of` and `fit_body`.
     """
     how = settings or MarkerSettings()
     trials = [read_trial(file, how.up) for file in (path, *how.trials)]

@@ -43,9 +43,7 @@ _MOST: Final = 10  #: Options shown in a figure
 
 def write_plan(plan: Plan, folder: str | Path, overwrite: bool = False) -> None:
     """Make a folder of a plan with its document and the operator's page; it appears complete or not at all.
-
-    Raises:
-        OutputExistsError: the folder exists and may not be replaced. WritingError: it cannot be written.
+    `OutputExistsError`: the folder exists and may not be replaced; `WritingError`: it cannot be written.
     """
     with new_folder(folder, MARKER, overwrite) as new:
         write_files(document(plan), new)

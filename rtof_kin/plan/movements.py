@@ -77,14 +77,12 @@ class Stored:
 
 def movement(name: str, skeleton: SkeletonModel, repetitions: int | None = None, rate_hz: float = 60.0) -> PoseSequence:
     """Return a movement of a body: the person starts at the origin, faces x and stands on the floor z = 0.
+    `UnknownNameError`: another movement, or a skeleton of other joints; `InvalidInputError`: no possible number of
+    repetitions or rate.
 
     Args:
         name: one of `MOVEMENTS`. skeleton: body, with the 21 joints.
         repetitions: number, at least 1; by default that of the movement. rate_hz: of the poses, Hz.
-
-    Raises:
-        UnknownNameError: another movement, or a skeleton of other joints.
-        InvalidInputError: no possible number of repetitions or rate.
     """
     if name not in MOVEMENTS:
         raise UnknownNameError("movement", [name], list(MOVEMENTS))
@@ -112,14 +110,12 @@ def planted(
 ) -> PoseSequence:
     """Return the poses of a body whose feet are where a stored movement has them.
 
-    Where its legs do not reach both feet, the body is lowered throughout by what is missing.
+    Where its legs do not reach both feet, the body is lowered throughout by what is missing. `UnknownNameError`,
+    `InvalidInputError`: a skeleton of other joints.
 
     Args:
         skeleton: body, with the 21 joints. times: (T,) s.
         sway: rotation vectors (T, J, 3) added to the segments', rad, and (T, 3) to the hips, in leg lengths.
-
-    Raises:
-        UnknownNameError, InvalidInputError: a skeleton of other joints.
     """
     default = _default()
     skeleton.check_joints(default.names, "the skeleton of a planned movement")

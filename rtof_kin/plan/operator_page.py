@@ -53,9 +53,7 @@ def draw_setup(
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
     The movement is on the floor z = 0; an .svg file is replaced. Returns the numbers written in the drawing.
-
-    Raises:
-        UnknownNameError: a sensor that the skeleton does not have.
+    `UnknownNameError`: a sensor that the skeleton does not have.
     """
     places = sensor_places(skeleton, sensors)
     place = framing(poses, skeleton, camera)

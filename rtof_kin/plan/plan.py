@@ -72,7 +72,8 @@ def plan(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Predict the errors of a recording, and compare other cameras and further sensors.
+    """Predict the errors of a recording, and compare other cameras and further sensors. `InvalidInputError`: the
+    movement cannot be recorded so, for example because the person is not in view.
 
     Args:
         protocol, setup: what is to be recorded, see `planned`.
@@ -80,9 +81,6 @@ def plan(
         lifter: as for `reconstruct`.
         search: compare cameras and sensors, and lengths for the calibration; else only the prediction.
         workers: processes, one per core if None.
-
-    Raises:
-        InvalidInputError: the movement cannot be recorded so, for example because the person is not in view.
     """
     report = progress or (lambda stage, done, total: None)
     part = replace(setup, poses=liveliest(setup.poses, _SEARCHED))

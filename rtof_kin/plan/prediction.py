@@ -196,12 +196,9 @@ def calibration_time(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> CalibrationTime:
-    """Return how well lengths of a movement, `draws` recordings of each, calibrate the sensors; lengths
-    beyond the movement of the setup are left out.
-
-    Raises:
-        InvalidInputError: there are no sensors, or the movement is too short. RtofError: no simulated
-            recording could be calibrated.
+    """Return how well lengths of a movement, `draws` recordings of each, calibrate the sensors; lengths beyond the
+    movement of the setup are left out. `InvalidInputError`: there are no sensors, or the movement is too short;
+    `RtofError`: no simulated recording could be calibrated.
     """
     if not setup.sensors:
         raise InvalidInputError("plan: without sensors there is nothing to calibrate")

@@ -115,9 +115,7 @@ def facing_of(poses: PoseSequence) -> float:
 
 def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, str]:
     """Return where to strap each sensor, in words: name -> "outside of the left thigh, upper third".
-
-    Raises:
-        UnknownNameError: a sensor that it does not have.
+    `UnknownNameError`: a sensor that it does not have.
     """
     indices_of("sensor", sensors, list(skeleton.sensors))
     found = {}

@@ -55,15 +55,13 @@ class Setup:
     def recorded(self, seed: int, late: bool = True) -> Recording:
         """Simulate a recording with the errors of a real detector and of real sensors.
 
-        Each seed is another person, with a neutral posture of their own, another detector and other sensors.
-        Equal seeds draw equal errors, whatever camera and sensors: differences between setups are theirs.
+        Each seed is another person, with a neutral posture of their own, another detector and other sensors. Equal
+        seeds draw equal errors, whatever camera and sensors: differences between setups are theirs.
+        `InvalidInputError`: the person is not in the camera's view, or the movement is too short.
 
         Args:
             seed: of the person's and the recording's errors.
             late: whether the detector's frames are late, as they are by one to three of 60 Hz.
-
-        Raises:
-            InvalidInputError: the person is not in the camera's view, or the movement is too short.
         """
         f = self.error_factor
         errors = DetectorErrors(view=f, constant=f, coloured=f, jumps=f, layout=layout_named(self.detector))

@@ -32,9 +32,7 @@ class Measured(NamedTuple):
 
 def protocol_of(name: str) -> type[Any]:
     """Return the settings' class of the protocol of one of `SETS`; its first field is the data set's folder.
-
-    Raises:
-        UnknownNameError: there is no such data set.
+    `UnknownNameError`: there is no such data set.
     """
     from rtof_kin.core.checks import indices_of
 

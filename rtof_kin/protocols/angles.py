@@ -56,9 +56,7 @@ _COLOURS: Final[dict[Metric, str]] = {"rmse": "#4c78a8", "mae": "#e08214", "medi
 
 def against_recording(motion: Motion, recording: Recording, movement: Movement = "other") -> Document:
     """Compare the angles of a motion with the truth of a recording, on one clock and with one definition.
-
-    Raises:
-        InvalidInputError: the recording has no truth, or no angle is in both.
+    `InvalidInputError`: the recording has no truth, or no angle is in both.
     """
     if recording.truth is None:
         raise InvalidInputError(f"recording {recording.name}: has no truth to compare with")
@@ -76,10 +74,8 @@ def against_recording(motion: Motion, recording: Recording, movement: Movement =
 def against_opensim(motion: Motion, path: Path, movement: Movement = "other", reach: float = 1.0) -> Document:
     """Compare with OpenSim's coordinates, whose zeros are those of their model; the clocks are aligned.
 
-    The file is a ``.mot`` or ``.sto``; differences of the clocks up to `reach`, s, are searched.
-
-    Raises:
-        FileFormatError: no such table. InvalidInputError: no angle is in both.
+    The file is a ``.mot`` or ``.sto``; differences of the clocks up to `reach`, s, are searched. `FileFormatError`: no
+    such table; `InvalidInputError`: no angle is in both.
     """
     with reading(path):
         reference, _ = opensim_angles(read_opensim_table(path))
@@ -88,9 +84,7 @@ def against_opensim(motion: Motion, path: Path, movement: Movement = "other", re
 
 def against_markers(motion: Motion, path: Path, trial: MarkerResult, movement: Movement = "other") -> Document:
     """Compare with the motion of a marker trial, whose clock may differ by any time; `path`: of the trial, for names.
-
-    Raises:
-        InvalidInputError: no angle is in both at the same time.
+    `InvalidInputError`: no angle is in both at the same time.
     """
     return _with_other_clock(motion, clinical_angles(trial.motion), path, movement, np.inf, (trial.headline,))
 

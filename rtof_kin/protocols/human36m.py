@@ -57,11 +57,8 @@ class Human36MProtocol(CameraProtocol):
             raise FileFormatError(self.lifter, problem) from error
 
     def jobs(self) -> dict[str, Job]:
-        """Return all jobs by key.
-
-        Raises:
-            FileFormatError: the archive cannot be read, or has nothing of the subjects.
-            UnknownNameError: an action that no subject has.
+        """Return all jobs by key. `FileFormatError`: the archive cannot be read, or has nothing of the subjects;
+        `UnknownNameError`: an action that no subject has.
         """
         dataset = _dataset(self.root, self.cameras_file, self.keypoints)
         found = [(s, action) for s, action in dataset.sequences if s in self.subjects]

@@ -150,9 +150,7 @@ def _angles(path: Path, markers: MarkerSettings | None) -> ClinicalAngles:
 
 def reliability_table(study: Study) -> tuple[Table, set[str]]:
     """Return the reliability of each angle in each trial by name, and why some values are missing.
-
-    Raises:
-        MissingPackageError: pingouin is not installed.
+    `MissingPackageError`: pingouin is not installed.
     """
     people, sessions, raters = (study.names(column) for column in ("person", "session", "rater"))
     at = {(one.person, one.session, one.rater, one.trial, name): v for (one, name), v in study.ranges.items()}

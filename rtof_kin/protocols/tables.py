@@ -59,10 +59,8 @@ class Table(document.Table):
 def write_results(found: Document, folder: Path, json_file: Path | None = None, overwrite: bool = False) -> list[Path]:
     """Write a document and ``tables.md`` into a folder, and the JSON also elsewhere if asked; return the paths.
 
-    The folder's own files are replaced; for `json_file` see `check_json_file`.
-
-    Raises:
-        OutputExistsError: `json_file` exists already. RtofError: one of them cannot be written.
+    The folder's own files are replaced; for `json_file` see `check_json_file`. `OutputExistsError`: `json_file` exists
+    already; `RtofError`: one of them cannot be written.
     """
     if json_file is not None:
         check_json_file(folder, json_file, overwrite)
@@ -77,9 +75,7 @@ def write_results(found: Document, folder: Path, json_file: Path | None = None, 
 
 def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
     """Check that a file may be written: it is new, a copy of the folder's own JSON, or may be replaced.
-
-    Raises:
-        OutputExistsError: another file exists.
+    `OutputExistsError`: another file exists.
     """
     before = folder / f"{NAME}.json"
     if not (json_file.is_file() and before.is_file() and filecmp.cmp(json_file, before, shallow=False)):

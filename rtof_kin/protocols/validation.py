@@ -99,10 +99,8 @@ class ValidationProtocol:
 
     @cached_property
     def chosen(self) -> tuple[Take, ...]:
-        """The takes that are wanted.
-
-        Raises:
-            FileFormatError: there is no such set. InvalidInputError: no take has such a name.
+        """The takes that are wanted. `FileFormatError`: there is no such set; `InvalidInputError`: no take has such a
+        name.
         """
         every = SETS[self.dataset](self.root).takes()
         found = tuple(one for one in every if any(fnmatchcase(one.key, pattern) for pattern in self.takes))
@@ -233,9 +231,7 @@ def compared_with(
     estimate: ClinicalAngles, truth: Truth, take: Take, aligned: bool = True
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Compare the angles of a take with its reference: plain facts, and the arrays of `differences`.
-
-    Raises:
-        InvalidInputError: no angle is in both at the same instants.
+    `InvalidInputError`: no angle is in both at the same instants.
     """
     reference, _ = opensim_angles(truth.table)
     measured = set(truth.coordinates) & set(truth.table.names)
@@ -261,10 +257,8 @@ def compared_with(
 
 
 def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> tuple[Recording, list[str]]:
-    """Return the recording of a take, and what was found, assumed or in doubt.
-
-    Raises:
-        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`, `calibrate_by_pose`.
+    """Return the recording of a take, and what was found, assumed or in doubt. `InvalidInputError`: the take lacks what
+    the mode needs. Errors of `write_recording`, `calibrate_by_pose`.
     """
     mode, sensors = job.protocol.own_mode, inputs.sensors
     if mode in _WITH_SENSORS and sensors is None:

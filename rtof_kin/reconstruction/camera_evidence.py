@@ -266,6 +266,7 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
     pose, and by the drift of the sensors' headings, which is the same to a reconstruction. The drift is a line and a
     random walk, estimated by Gaussian process regression (Rasmussen and Williams 2006, ch. 2) from means over two
     seconds. Removing it corrects positions in world; those relative to the root hardly change.
+    `InvalidInputError`: other times, or no segment is seen by both.
 
     Args:
         poses: lifted from the image alone, in the world of the camera that stands still.
@@ -274,9 +275,6 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
     Returns:
         Angles (T,) about the vertical by which what the camera sees has to be turned, relative to their mean, and their
         standard deviations (T,), rad.
-
-    Raises:
-        InvalidInputError: other times, or no segment is seen by both.
     """
     if not np.array_equal(poses.times, bone_imus.times):
         raise InvalidInputError("heading drift: poses and sensors have other times; resample the sensors")

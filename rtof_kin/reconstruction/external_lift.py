@@ -103,12 +103,10 @@ def external(
     bone_imus: BoneImuSequence | None = None,
 ) -> tuple[Lifted, Agreement]:
     """Return another model's points as a lift at the times of the own one, which are those of the video.
+    `InvalidInputError`: names of no known convention, or they show fewer than `FEWEST` joints.
 
     Args:
         bone_imus: sensors at these times; on their segments they tell which lift is better.
-
-    Raises:
-        InvalidInputError: names of no known convention, or they show fewer than `FEWEST` joints.
     """
     if own.poses.names != SkeletonModel.default().names:
         raise InvalidInputError(f"{lift.name}: the points of another model need the 21-joint skeleton")

@@ -68,13 +68,10 @@ def lift(
     bone_imus: BoneImuSequence | None = None,
     floor_height: float | None = None,
 ) -> Lifted:
-    """Lift a video.
+    """Lift a video. `ViewError`: a lifted pose is behind the camera.
 
     Args:
         skeleton: the subject's. lifter: default: the shipped one. floor_height: z of the floor in world, m.
-
-    Raises:
-        ViewError: a lifted pose is behind the camera.
     """
     lifter = lifter or shipped_lifter()
     result = lifter.predict(keypoints, skeleton.joint_offsets, bone_imus=bone_imus, floor_height=floor_height)

@@ -95,8 +95,9 @@ def reconstruct_in_parts(
 ) -> Iterator[Reconstruction]:
     """Yield the reconstruction of a recording part by part: one part, unless it is long.
 
-    Parts follow one another without a gap, their configurations are continuous. A part that cannot be
-    reconstructed, e.g. because nobody is seen, has poses of NaN and a warning that says why.
+    Parts follow one another without a gap, their configurations are continuous. A part that cannot be reconstructed,
+    e.g. because nobody is seen, has poses of NaN and a warning that says why. `RtofError`: no part can be
+    reconstructed; the error of the first one. Errors of the calibration, and those of `reconstruct`.
 
     Args:
         skeleton, mode, lifter, settings, calibrate, priors, calibration, known: as for `reconstruct`.
@@ -104,10 +105,6 @@ def reconstruct_in_parts(
         seconds: length of a part. Default: `PART_SECONDS`, and one part where the recording is not `is_long`.
         workers: processes, one thread each, that solve parts side by side; 1: none but this one. The result is the
             same to the bit where this one has one thread, too.
-
-    Raises:
-        RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration, and those of
-            `reconstruct`.
     """
     mode = source.usual_mode if mode is None else mode
     if mode not in MODES:

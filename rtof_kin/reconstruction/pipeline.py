@@ -197,10 +197,8 @@ def _optimised(
 def calibrate_camera(
     recording: Recording, *, lifter: LifterLike | None = None, progress: Progress | None = None
 ) -> CameraEstimate:
-    """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.self_calibration`.
-
-    Raises:
-        ViewError: the person is behind the camera. Errors of the stages.
+    """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.self_calibration`. `ViewError`: the
+    person is behind the camera. Errors of the stages.
     """
     job = Job.of(recording, None, lifter, None, progress)
     with explaining(job):

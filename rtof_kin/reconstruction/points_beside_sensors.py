@@ -96,12 +96,10 @@ def beside_sensors(
     lift: LiftPoints, alone: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel
 ) -> tuple[MeasuredJoints, Agreement]:
     """Return the joints of a file at the times, and on the axes, of sensors, and how they agree.
+    `InvalidInputError`: names of no known convention, or of too few segments.
 
     Args:
         alone: poses by the sensors alone, at their times.
-
-    Raises:
-        InvalidInputError: names of no known convention, or of too few segments.
     """
     title, usual, columns, segments, places, spread = lifts.placed_points(lift, skeleton)
     times, at, clock, p = lift.points.times, lift.points.p_world[:, columns], alone.times, alone.p_world_joint

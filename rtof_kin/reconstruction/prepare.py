@@ -86,10 +86,8 @@ class Job:
         """Clean the streams, lift the video and, with sensors, correct the lift by SF2.
 
         `rejected`: intervals of sensors that are not used, by segment. `calibration`: that was applied before.
-
-        Raises:
-            InvalidInputError: times or points are in another unit; there are no keypoints, or no IMUs in a
-                mode that needs them. ViewError: the person is behind the camera.
+        `InvalidInputError`: times or points are in another unit; there are no keypoints, or no IMUs in a mode that
+        needs them. `ViewError`: the person is behind the camera.
         """
         if self.recording.keypoints is None:
             raise InvalidInputError("the recording has no keypoints; without them use mode 'imu'")

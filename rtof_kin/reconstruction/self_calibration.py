@@ -53,16 +53,13 @@ def calibrate_recording(
     settings: ReconstructionSettings | None = None,
     progress: Progress | None = None,
 ) -> SelfCalibration:
-    """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
+    """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`. `CalibrationError`: the recording
+    has no IMUs, or too little in common with its video. Errors of the stages.
 
     Args:
         skeleton: default: that of the recording.
         priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
         lifter, settings, progress: as for `reconstruct`.
-
-    Raises:
-        CalibrationError: the recording has no IMUs, or too little in common with its video. Errors of
-            the stages.
     """
     if recording.imus is None:
         raise CalibrationError(
@@ -163,10 +160,7 @@ def with_camera(recording: Recording, camera: Camera) -> Recording:
 
 def find_camera(job: Job, mode: Mode) -> CameraEstimate:
     """Estimate the unknowns of the first camera without further views; by solved poses in modes with sensors, else by
-    lifted ones.
-
-    Raises:
-        Errors of the stages, with the camera as declared.
+    lifted ones. Errors of the stages, with the camera as declared.
     """
     sensed, job = job.sensed(mode), job.with_solver(None)
     report = partial(job.progress, "camera")
@@ -326,14 +320,12 @@ class SetupEstimate:
 def estimate_setup(
     job: Job, mode: Mode, given: Given, slices: Sequence[Job] | None = None, filmed: Job | None = None
 ) -> SetupEstimate:
-    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given.
+    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given. Errors of the
+    stages.
 
     Args:
         job: on the recording, or its first part. slices: on excerpts of a long one, in the order of time, by which
             clocks and calibration are estimated; filmed: the same for its camera, which the image alone shows then.
-
-    Raises:
-        Errors of the stages.
     """
     if mode == "imu":
         return SetupEstimate()

@@ -39,10 +39,8 @@ RATE_HZ: Final = 60.0  #: [Hz] Frame rate; the sensors' rate where that is lower
 
 def reconstruct_from_sensors(job: Job) -> Reconstruction:
     """Reconstruct a recording without its keypoints; its floor height counts, 0 where it has none.
-
-    Raises:
-        InvalidInputError: there are no IMUs, none has samples, the skeleton has no pose prior, or the settings are of
-            cartesian space. CalibrationError: the IMUs are not calibrated.
+    `InvalidInputError`: there are no IMUs, none has samples, the skeleton has no pose prior, or the settings are of
+    cartesian space; `CalibrationError`: the IMUs are not calibrated.
     """
     settings, skeleton = job.settings, job.subject
     if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):

@@ -21,13 +21,11 @@ _STREAMS: Final = ("all", "image", "sensors")  #: What is left out as a whole
 
 
 def corrected(streams: Streams, corrections: Iterable[Correction], path: Path) -> Streams:
-    """Return the streams of a recording with the corrections that their samples do not have yet.
+    """Return the streams of a recording with the corrections that their samples do not have yet. `UnknownNameError`: a
+    sensor that is left out is not there.
 
     Args:
         path: of ``recording.toml``, for messages.
-
-    Raises:
-        UnknownNameError: a sensor that is left out is not there.
     """
     for one in corrections:
         if one.applied:

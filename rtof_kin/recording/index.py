@@ -137,9 +137,7 @@ def read_corrections(folder: str | Path) -> tuple[Correction, ...]:
 
 def write_corrections(folder: str | Path, corrections: Iterable[Correction]) -> None:
     """Replace the corrections in a recording's folder; all else in ``recording.toml`` stays as it is, with its remarks.
-
-    Raises:
-        RtofError: one of them says nothing sensible, then nothing is written; or it cannot be written.
+    `RtofError`: one of them says nothing sensible, then nothing is written; or it cannot be written.
     """
     path = Path(folder) / INDEX
     text = with_corrections(path.read_text(encoding="utf-8"), corrections)

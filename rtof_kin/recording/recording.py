@@ -260,14 +260,12 @@ class Recording(RecordingSource):
         return self.keypoints
 
     def bone_imus(self, max_gap: float = 0.1, times: ArrayLike | None = None) -> BoneImuSequence | None:
-        """Return the calibrated, resampled IMUs; None where there are none.
+        """Return the calibrated, resampled IMUs; None where there are none. `CalibrationError`: a sensor has no
+        calibration.
 
         Args:
             max_gap: longest gap that is interpolated, s; longer ones become NaN.
             times: (T,) s; by default those of the keypoints, or else the sensors' own.
-
-        Raises:
-            CalibrationError: a sensor has no calibration.
         """
         if self.imus is None:
             return None
@@ -323,14 +321,12 @@ class Recording(RecordingSource):
             return reader.whole()
 
     def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
-        """Write the folder that `load` reads back exactly, or nothing at all.
+        """Write the folder that `load` reads back exactly, or nothing at all. `OutputExistsError`: the folder exists
+        and may not be replaced; `RtofError`: it cannot be written.
 
         Args:
             overwrite: replace a recording that was saved here and not changed since.
             inputs: fingerprints of what it is made from, for its manifest.
-
-        Raises:
-            OutputExistsError: the folder exists and may not be replaced. RtofError: it cannot be written.
         """
         with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
             for name, arrays in self.arrays().items():

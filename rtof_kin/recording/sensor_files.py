@@ -96,10 +96,8 @@ def _opened(
 
 def calibration_of(sensors: Mapping[str, SensorTable], skeleton: SkeletonModel) -> ImuCalibration | None:
     """Return the calibration in the tables of sensors by name; None without any. Segment and position default to those
-    of the skeleton table's sensor of that name.
-
-    Raises:
-        FileFormatError: a missing or invalid field, which is named. UnknownNameError: unknown segment.
+    of the skeleton table's sensor of that name. `FileFormatError`: a missing or invalid field, which is named;
+    `UnknownNameError`: unknown segment.
     """
     joints, levers = [], []
     for name, own in sensors.items():
@@ -206,11 +204,9 @@ def _mapped(table: ImusTable, log: SensorLog, skeleton: SkeletonModel, named: Se
 def imus_of_log(log: SensorLog) -> ImuSequence:
     """Return orientation and specific force of all sensors at common times.
 
-    Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its
-    specific force. Sensors of other times are resampled to even times at the fastest sensor's rate.
-
-    Raises:
-        InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
+    Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its specific force.
+    Sensors of other times are resampled to even times at the fastest sensor's rate. `InvalidInputError`: a sensor has
+    neither an orientation nor what it is estimated from.
     """
     streams = log_with_orientation(log).streams
     unknown = {one.name: np.full((len(one), 3), np.nan) for one in streams if one.f_sensor is None}

@@ -112,14 +112,12 @@ def write_analysis(
     inputs: Mapping[str, str] | None = None,
     documents: Sequence[Document] = (),
 ) -> Document:
-    """Analyse the motion of an output folder, and write the analysis into a folder.
+    """Analyse the motion of an output folder, and write the analysis into a folder. `OutputExistsError`: the folder may
+    not be replaced. Errors of `analyse`.
 
     Args:
         overwrite: replace an earlier analysis there. inputs: fingerprints for the folder's manifest.
         documents: of the same motion, such as its gait scores, which get folders of their own in it.
-
-    Raises:
-        OutputExistsError: the folder may not be replaced. Errors of `analyse`.
     """
     check_replaceable(folder, MARKER, overwrite)
     path = motion_path(motion).parent / SUMMARY

@@ -162,13 +162,10 @@ def _by_reason(reasons: Mapping[str, str]) -> list[str]:
 
 
 def read_compared(path: str | Path) -> Compared:
-    """Read one side of a comparison.
+    """Read one side of a comparison. `FileFormatError`: it is none of these, or damaged.
 
     Args:
         path: output folder of reconstruct or run, a ``motion.h5``, or an OpenSim ``.mot`` or ``.sto``.
-
-    Raises:
-        FileFormatError: it is none of these, or damaged.
     """
     path = Path(path)
     if path.suffix.lower() in SUFFIXES:

@@ -193,14 +193,12 @@ def show_table(table: Table, out: Console) -> None:
 def write(
     document: Document, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None
 ) -> None:
-    """Make a folder of a document; it appears complete or not at all.
+    """Make a folder of a document; it appears complete or not at all. `OutputExistsError`: the folder exists and may
+    not be replaced; `WritingError`: it cannot be written.
 
     Args:
         overwrite: replace an earlier folder of this kind, see `check_replaceable`.
         inputs: fingerprints of what it is made from, for its manifest.
-
-    Raises:
-        OutputExistsError: the folder exists and may not be replaced. WritingError: it cannot be written.
     """
     with new_folder(folder, document.marker, overwrite, inputs) as new:
         write_files(document, new)

@@ -184,9 +184,7 @@ def export_markers(
     found: MarkerResult, folder: str | Path, overwrite: bool = False, formats: Sequence[str] = DEFAULT
 ) -> tuple[AuditResult, ...]:
     """Write the motion of a marker trial as that of a recording, with ``markers.json``; return its checks.
-
-    Raises:
-        OutputExistsError: the folder exists and may not be replaced. WritingError: it cannot be written.
+    `OutputExistsError`: the folder exists and may not be replaced; `WritingError`: it cannot be written.
     """
     results, facts, poses = marker_audit(found), marker_facts(found), found.motion.poses
     about = {

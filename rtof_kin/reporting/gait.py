@@ -44,14 +44,12 @@ _WIDTH: Final = 0.38  # of a bar of the figure
 
 
 def score_motion(motion: str | Path, reference: str | Path, from_standing: bool = False) -> Document:
-    """Return the gait scores of a motion against a reference, as a document.
+    """Return the gait scores of a motion against a reference, as a document. `FileFormatError`: a file is missing or
+    damaged.
 
     Args:
         motion: output folder of reconstruct or run, or its motion file. reference: file of a `GaitReference`.
         from_standing: angles relative to quiet standing; so they are for a reference made so.
-
-    Raises:
-        FileFormatError: a file is missing or damaged.
     """
     people = read_gait_reference(reference)
     cycles, _ = read_cycles(motion, from_standing or people.zero == STANDING_ZERO)
@@ -96,13 +94,10 @@ class FoundPeople:
 
 
 def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycles, str]:
-    """Return the strides of a motion, and the name of its skeleton.
+    """Return the strides of a motion, and the name of its skeleton. `FileFormatError`: it is none of these, or damaged.
 
     Args:
         from_standing: see `gait_cycles`.
-
-    Raises:
-        FileFormatError: it is none of these, or damaged.
     """
     with MotionReader(motion_path(path)) as reader:
         return gait_cycles(reader, from_standing=from_standing), reader.skeleton.name
@@ -111,14 +106,12 @@ def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycl
 def find_people(folder: str | Path, from_standing: bool = False) -> FoundPeople:
     """Return the strides of all motions below a folder, by person.
 
-    A person is the subject of the recording's session; without one, each recording is a person of its own,
-    named by its folder. Motions whose audit failed are left out.
+    A person is the subject of the recording's session; without one, each recording is a person of its own, named by its
+    folder. Motions whose audit failed are left out. `FileFormatError`: there is no such folder;
+    `InvalidInputError`: there is no motion in it.
 
     Args:
         from_standing: see `gait_cycles`.
-
-    Raises:
-        FileFormatError: there is no such folder. InvalidInputError: there is no motion in it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -158,11 +151,7 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _person(path: Path, name: str) -> str:
-    """Code of the person of a motion.
-
-    Raises:
-        InvalidInputError: its audit failed.
-    """
+    """Code of the person of a motion. `InvalidInputError`: its audit failed."""
     if not (path / SUMMARY).is_file():
         return name
     summary = read_summary(path / SUMMARY)

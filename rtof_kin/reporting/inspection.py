@@ -76,14 +76,12 @@ class Inspection:
 
 
 def inspect(path: str | Path, **declared: Any) -> Inspection:
-    """Inspect a file, or a folder with a recording or the sensor log of a trial.
+    """Inspect a file, or a folder with a recording or the sensor log of a trial. `FileFormatError`: the file is
+    missing, of an unknown type, or damaged; `InvalidInputError`: something is declared of a file that is not a sensor
+    log.
 
     Args:
         declared: of a sensor log, fields of `Declaration` to override.
-
-    Raises:
-        FileFormatError: the file is missing, of an unknown type, or damaged.
-        InvalidInputError: something is declared of a file that is not a sensor log.
     """
     path = Path(path)
     if not path.exists():

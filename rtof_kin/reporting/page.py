@@ -443,13 +443,10 @@ def _estimates(found: Any) -> Table | None:
 
 def review(folder: str | Path, video: str = "") -> str:
     """Return the page of a reconstruction; it posts the chosen range, ``{range: [start or null, stop or null]}`` in s,
-    to the page around it.
+    to the page around it. `FileFormatError`: the folder's files are missing or damaged.
 
     Args:
         folder: written by `export`. video: address of the video on the same server; '' where there is none.
-
-    Raises:
-        FileFormatError: the folder's files are missing or damaged.
     """
     folder = Path(folder)
     summary = read_summary(folder / SUMMARY)

@@ -31,10 +31,8 @@ from rtof_kin.solve.solution import FragmentReport, FragmentSolution
 
 
 def reprojection_errors(result: Reconstruction) -> Array:
-    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
-
-    Raises:
-        InvalidInputError: there are no keypoints.
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown. `InvalidInputError`: there are no
+    keypoints.
     """
     keypoints = result.keypoints or result.recording.video
     return quality.reprojection_errors(keypoints, result.motion.skeleton, result.motion.poses)
@@ -97,13 +95,10 @@ class ColumnStatistics:
         self._rows, self._step = 0, 1
 
     def add(self, times: Array, values: NDArray[Any]) -> None:
-        """Add rows.
+        """Add rows. `ShapeError`: another number of columns or rows.
 
         Args:
             times: (T,) s. values: (T, K), numbers or a mask.
-
-        Raises:
-            ShapeError: another number of columns or rows.
         """
         if values.shape != (len(times), len(self.known)):
             raise ShapeError(f"statistics: expected ({len(times)}, {len(self.known)}), got {values.shape}")

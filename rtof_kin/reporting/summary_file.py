@@ -62,10 +62,8 @@ class Summary:
 
 
 def read_summary(path: str | Path) -> Summary:
-    """Read the ``summary.json`` of a reconstruction.
-
-    Raises:
-        FileFormatError: the file is missing, no JSON, or not written by `export`.
+    """Read the ``summary.json`` of a reconstruction. `FileFormatError`: the file is missing, no JSON, or not written by
+    `export`.
     """
     data = load_json(path)
     if not isinstance(data, dict):

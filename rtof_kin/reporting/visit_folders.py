@@ -101,10 +101,8 @@ class FoundVisits:
 
 
 def read_plan(folder: str | Path) -> Plan:
-    """Read ``follow.toml``; without one nothing is declared.
-
-    Raises:
-        FileFormatError: a field is of the wrong kind. UnknownNameError: there is no such field or choice.
+    """Read ``follow.toml``; without one nothing is declared. `FileFormatError`: a field is of the wrong kind;
+    `UnknownNameError`: there is no such field or choice.
     """
     path = Path(folder) / PLAN
     if not path.exists():
@@ -115,14 +113,12 @@ def read_plan(folder: str | Path) -> Plan:
 
 
 def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | None = None) -> FoundVisits:
-    """Read all visits, and analyse their motions.
+    """Read all visits, and analyse their motions. `FileFormatError`: fewer than two visits, one without a motion, or a
+    damaged file.
 
     Args:
         folder: that has a folder for each visit, or the folders of the visits.
         progress: called with the number of trials done, and of all.
-
-    Raises:
-        FileFormatError: fewer than two visits, one without a motion, or a damaged file.
     """
     if isinstance(folder, str | Path):
         folder = Path(folder)

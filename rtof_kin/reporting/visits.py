@@ -71,7 +71,8 @@ def follow(
     measures: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Document:
-    """Compare the visits of one person, which have a folder each.
+    """Compare the visits of one person, which have a folder each. `FileFormatError`: there are no two visits, or a file
+    is damaged; `UnknownNameError`: of a visit or measure.
 
     Args:
         folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more. Or the
@@ -79,9 +80,6 @@ def follow(
         baseline: visit that the others are compared with; default: the first.
         by, kind, measures: see `follow_up`.
         progress: called with the number of trials read, and of all.
-
-    Raises:
-        FileFormatError: there are no two visits, or a file is damaged. UnknownNameError: of a visit or measure.
     """
     read = read_visits(folder, progress)
     plan, first = read.plan, read.baseline

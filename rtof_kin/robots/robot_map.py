@@ -59,9 +59,7 @@ class RobotMap(BaseModel):
     @classmethod
     def choose(cls, word: str | None, links: set[str]) -> Self:
         """Return the map that a word names, a file or a shipped one; None: the shipped one of these links.
-
-        Raises:
-            UnknownNameError: a link is not known. InvalidInputError: no shipped map is of these links.
+        `UnknownNameError`: a link is not known; `InvalidInputError`: no shipped map is of these links.
         """
         shipped = {path.stem: path for path in sorted(model_path("robots").glob("*.toml"))}
         for path in shipped.values() if word is None else [shipped.get(word, Path(word))]:

@@ -73,9 +73,7 @@ def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, in
     """Read a calibration; where it has no pose, the pose is assumed.
 
     `path`: see `rtof_kin.formats.cameras`. size_px: of the video's upright image, None where unknown.
-
-    Raises:
-        InvalidInputError: it is of another image size. Errors of `read_camera`.
+    `InvalidInputError`: it is of another image size. Errors of `read_camera`.
     """
     camera = read_camera(path, name)
     own = camera.width_px, camera.height_px
@@ -143,9 +141,7 @@ def seen_camera(
     say is used here, before them.
 
     `height`: of the person, m. `lifter`: default: the shipped one. `progress`: called with (stage, steps done, in all).
-
-    Raises:
-        Errors of the lift.
+    Errors of the lift.
     """
     recording = Recording("camera", keypoints, floor_height=0.0, height=height)
     found = calibrate_camera(recording, lifter=lifter, progress=progress).found
@@ -196,10 +192,8 @@ def filming_camera(
 ) -> FilmingCamera:
     """Find out whether a camera stood still; of one that turned, its focal length follows too.
 
-    `video`: None where there is none. progress: called with ("camera", frames done, in total).
-
-    Raises:
-        InvalidInputError: a log without a video. FileFormatError: the log cannot be read.
+    `video`: None where there is none. progress: called with ("camera", frames done, in total). `InvalidInputError`: a
+    log without a video; `FileFormatError`: the log cannot be read.
     """
     if video is None:
         if phone is not None:

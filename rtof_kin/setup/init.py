@@ -100,9 +100,7 @@ def find_people(
 
     `folder`: to write; an unfinished one is replaced. `detect`: detects the people in a video, where there are no
     keypoints; default: the detector of `settings`. `inputs`: fingerprints for the folder's manifest.
-
-    Raises:
-        InvalidInputError: there is no person, or the keypoints lack the image's size or times.
+    `InvalidInputError`: there is no person, or the keypoints lack the image's size or times.
     """
     video = _described(sources, settings)
     if detect is None:
@@ -332,11 +330,7 @@ def _seen(
 
 
 def read_findings(folder: str | Path) -> Findings:
-    """Read what `make_recording` returned.
-
-    Raises:
-        FileFormatError: missing or damaged.
-    """
+    """Read what `make_recording` returned. `FileFormatError`: missing or damaged."""
     data = load_json(Path(folder) / FINDINGS)
     places = {name: (str(segment), float(sure)) for name, (segment, sure) in data.pop("places", {}).items()}
     return Findings(**{kind: tuple(map(str, sentences)) for kind, sentences in data.items()}, places=places)

@@ -31,14 +31,12 @@ def join_recordings(
     one's pose, and both focal lengths, are found too (`find_second_camera`).
 
     `first`: with sensors or without; its camera defines the world. `lifter`: default: the shipped one.
+    `InvalidInputError`: the second one has sensors, or no keypoints, or the clocks have too little in common;
+    `CalibrationError`: the cameras do not see the person together for long enough.
 
     Returns:
         The first recording with the second camera's keypoints on its clock and that camera in its world; its notes
         begin with why this may be in doubt and end with what was estimated, with standard deviations.
-
-    Raises:
-        InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in
-            common. CalibrationError: the cameras do not see the person together for long enough.
     """
     if second.imus is not None:
         raise InvalidInputError(f"recording {second.name}: has sensors; give the one with sensors as the first")
@@ -72,16 +70,14 @@ def find_second_camera(
     around: float | None = None,
     sigma_focal: tuple[float, float] | None = None,
 ) -> SecondCamera:
-    """Estimate a second camera, which stands anywhere, from the person who moves before both.
+    """Estimate a second camera, which stands anywhere, from the person who moves before both. `CalibrationError`,
+    `InvalidInputError`: as there. Errors of the reconstruction.
 
     Args:
         recording: of the first camera, whose pose is the world's, with sensors or without; its skeleton,
             from the height, gives the scale.
         second, around, sigma_focal: as for `rtof_kin.calibration.second_camera.estimate_second_camera`.
         lifter: default: the shipped one.
-
-    Raises:
-        CalibrationError, InvalidInputError: as there. Errors of the reconstruction.
     """
     sensed, skeleton = recording.imus is not None and recording.calibration is not None, recording.skeleton
     settings = ReconstructionSettings(confidence=False)

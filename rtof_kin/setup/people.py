@@ -57,9 +57,7 @@ class People:
 
 def number_people(detections: Detections, times: Array, image_px: tuple[float, float]) -> People:
     """Number the people, the most prominent first: large, in the middle and often seen. `times`: (T,) s.
-
-    Raises:
-        InvalidInputError: there is no person.
+    `InvalidInputError`: there is no person.
     """
     detections = _without_doubles(detections)
     points = (detections.confidence > 0).sum(axis=-1)
@@ -116,11 +114,7 @@ def write_people(path: Path, people: People) -> None:
 
 
 def read_people(path: Path) -> People:
-    """Read what `write_people` wrote.
-
-    Raises:
-        FileFormatError: damaged.
-    """
+    """Read what `write_people` wrote. `FileFormatError`: damaged."""
     found, weights = read_detector_file(path), read_npz(path)["weights"]
     assert found.times is not None
     return People(found, found.times, tuple(weights.tolist()))
@@ -136,9 +130,7 @@ def no_person() -> InvalidInputError:
 
 def choose_person(people: People, number: int | None, picture: str) -> int:
     """Return the number of the person that the recording is of. `number`: as the user says, None where not said.
-
-    Raises:
-        InvalidInputError: there is no such person. UndecidedError: several are equally prominent and none was chosen.
+    `InvalidInputError`: there is no such person; `UndecidedError`: several are equally prominent and none was chosen.
     """
     if number is None:
         rivals = [n for n, weight in enumerate(people.weights, start=1) if weight >= _RIVAL]
@@ -172,9 +164,7 @@ def write_frames_picture(
     """Draw the people of a video at six instants.
 
     `path`: .png file, replaced. video: whose frames are shown behind them; None: a plain background.
-
-    Raises:
-        FileFormatError: the video cannot be read.
+    `FileFormatError`: the video cannot be read.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

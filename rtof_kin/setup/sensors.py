@@ -64,11 +64,8 @@ def set_up_sensors(
     """Find clock, segments, headings and mounting of the sensors of a video.
 
     `sensor_map`: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
-    `start_utc`: when the video began, if known.
-
-    Raises:
-        InvalidInputError: no sensor moves, or video and sensors have nothing in common.
-        CalibrationError: nothing relates the sensors to the video. Errors of the map.
+    `start_utc`: when the video began, if known. `InvalidInputError`: no sensor moves, or video and sensors have nothing
+    in common. `CalibrationError`: nothing relates the sensors to the video. Errors of the map.
     """
     search = partial(find_clock, poses, keypoints, skeleton=skeleton)
     places = known_places(log, sensor_map, skeleton)
@@ -143,9 +140,7 @@ def _days_apart(sensors: datetime | None, video: datetime | None) -> str:
 
 def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
     """Return the segments that a map or the sensors' own names say; None where they do not say all.
-
-    Raises:
-        FileFormatError: the map is damaged. UnknownNameError: a place is no segment.
+    `FileFormatError`: the map is damaged; `UnknownNameError`: a place is no segment.
     """
     if sensor_map is not None:
         places = matched(read_sensor_map(sensor_map), log.names, sensor_map)
@@ -197,9 +192,7 @@ def _assigned(
     log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence
 ) -> tuple[dict[str, Field], list[str], dict[str, tuple[str, float]]]:
     """Return the segments of the sensors that are sure, sentences about the others, and the likeliest segment of all.
-
-    Raises:
-        UndecidedError: none is sure.
+    `UndecidedError`: none is sure.
     """
     found = assign_sensors(log, skeleton, poses)
     likely = {name: (joint, found.probabilities[name]) for name, joint in found.joints.items()}
@@ -271,10 +264,8 @@ def sensors_by_pose(
     log: SensorLog, sensor_map: Path | None, pose: Literal["N", "T", "seated"], skeleton: SkeletonModel
 ) -> SetupSensors:
     """Find headings and mounting of sensors without a video: the person stands still in a known pose for a second.
-
-    Raises:
-        UndecidedError: which sensor is where is not known.
-        CalibrationError: the sensors never rest, or two are on one segment. Errors of the map.
+    `UndecidedError`: which sensor is where is not known. `CalibrationError`: the sensors never rest, or two are on one
+    segment. Errors of the map.
     """
     places = known_places(log, sensor_map, skeleton)
     if places is None:

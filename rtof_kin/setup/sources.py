@@ -71,10 +71,8 @@ _KNOWN: Final = (
 
 
 def recognise_source(path: str | Path) -> SourceKind:
-    """Return what a file or folder is, from its first bytes; it may be damaged further on.
-
-    Raises:
-        FileFormatError: there is no such file or folder, or it cannot be read.
+    """Return what a file or folder is, from its first bytes; it may be damaged further on. `FileFormatError`: there is
+    no such file or folder, or it cannot be read.
     """
     path = Path(path)
     if path.is_dir():
@@ -160,11 +158,8 @@ class Sources:
 
     @classmethod
     def of(cls, paths: Iterable[str | Path]) -> Sources:
-        """Sort files and folders by what they are. `paths`: in any order.
-
-        Raises:
-            FileFormatError: one does not exist, or is nothing of these.
-            InvalidInputError: two videos, keypoints, calibrations or maps, or a recording folder.
+        """Sort files and folders by what they are. `paths`: in any order. `FileFormatError`: one does not exist, or is
+        nothing of these; `InvalidInputError`: two videos, keypoints, calibrations or maps, or a recording folder.
         """
         found: dict[SourceKind, list[Path]] = {kind: [] for kind in SourceKind}
         for path in map(Path, paths):

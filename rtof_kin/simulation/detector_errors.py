@@ -389,6 +389,7 @@ def simulate_detections(
     """Simulate what a detector finds of one person.
 
     Each part of the errors has a random stream of its own: switching one off leaves the others as they are.
+    `UnknownNameError`: the skeleton lacks a joint that the points are anchored at.
 
     Args:
         rng: source of randomness, of this person, detector, camera mounting and recording.
@@ -396,9 +397,6 @@ def simulate_detections(
 
     Returns:
         One person in the errors' layout, with visibility as confidence; points outside of the image included.
-
-    Raises:
-        UnknownNameError: the skeleton lacks a joint that the points are anchored at.
     """
     table = detector_error_table(errors.layout)
     standing, person, lasting, colour, moods, jumps, swaps, seeing, losing = rng.spawn(9)

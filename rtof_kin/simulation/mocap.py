@@ -192,7 +192,8 @@ def read_mocap(
 ) -> MocapClip:
     """Read a motion capture file as motion of the package's skeleton, in world axes z up.
 
-    Frames that a converter put before the motion are left out.
+    Frames that a converter put before the motion are left out. `FileFormatError`: a missing or damaged file, an unknown
+    skeleton or one that is not of human size; `UnknownNameError`: a joint in `names` is not in the file.
 
     Args:
         asf: skeleton of an .amc file, by default `find_asf` of it.
@@ -201,10 +202,6 @@ def read_mocap(
         output_rate_hz: sampling rate of the result, Hz; None keeps that of the file.
         names: name of a joint in a known family by its name in the file. A common prefix of all names ("mixamorig:")
             is removed where that makes the family known.
-
-    Raises:
-        FileFormatError: a missing or damaged file, an unknown skeleton or one that is not of human size.
-        UnknownNameError: a joint in `names` is not in the file.
     """
     path = Path(path)
     if path.suffix.lower() == ".bvh":
@@ -261,8 +258,9 @@ def read_corpus(
 ) -> Iterator[MocapClip]:
     """Read the clips of a folder whose ``index.csv`` has subject, category and true rate of each file.
 
-    The rate of the index replaces that of the file. Heights are shifted so that the floor (`ANKLE_HEIGHT`)
-    lies at z = 0. Clips are cut at glitches, see `without_spikes`.
+    The rate of the index replaces that of the file. Heights are shifted so that the floor (`ANKLE_HEIGHT`) lies at z =
+    0. Clips are cut at glitches, see `without_spikes`. `UnknownNameError`: a subject is not in the index;
+    `FileFormatError`: a damaged index or file, or a file outside the folder.
 
     Args:
         subjects: names in the corrected index; None for all. output_rate_hz: sampling rate of the clips, Hz.
@@ -270,10 +268,6 @@ def read_corpus(
 
     Yields:
         Clips; pieces of a cut file are named ``name[first:stop]``, in frames of the file without its artificial start.
-
-    Raises:
-        UnknownNameError: a subject is not in the index.
-        FileFormatError: a damaged index or file, or a file outside the folder.
     """
     root = Path(root)
     rows = _index_rows(root / "index.csv")

@@ -166,14 +166,12 @@ def simulate_imus(
     A sensor has its usual position on its segment, a random mounting and heading. Its specific force is
     ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint + R_world_bone lever``.
     Slip rotates the sensor on the segment, so that orientation and acceleration stay consistent in sensor axes.
+    `InvalidInputError`: implausibly fast motion; `UnknownNameError`: no such sensor.
 
     Args:
         rng: source of randomness; a subset of the sensors has the same errors as the whole set.
         sensors: names in the skeleton's table. times: (T',) s, inside the poses' times.
         noise: parameters are drawn around these for each sensor.
-
-    Raises:
-        InvalidInputError: implausibly fast motion. UnknownNameError: no such sensor.
     """
     known = list(skeleton.sensors)
     wanted = indices_of("sensor", sensors, known)

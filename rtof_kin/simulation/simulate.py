@@ -120,6 +120,8 @@ def simulate(
     acknowledgement: str = "",
 ) -> Recording:
     """Simulate a recording of known motion. Equal arguments give equal recordings, bit for bit.
+    `InvalidInputError`: too few or unknown poses, or implausible motion; `UnknownNameError`: a sensor or landmark that
+    the skeleton does not have.
 
     Args:
         clip_poses: the motion, at the rate of the video; finite everywhere, at least four frames.
@@ -131,10 +133,6 @@ def simulate(
     Returns:
         The recording with the poses as truth. Where the video lags, frame k shows an earlier instant;
         frames from before the motion's start are left out, and `Recording.first_frame` counts them.
-
-    Raises:
-        InvalidInputError: too few or unknown poses, or implausible motion.
-        UnknownNameError: a sensor or landmark that the skeleton does not have.
     """
     skeleton = (skeleton or SkeletonModel.default()).with_offsets(joint_offsets)
     _check(clip_poses, skeleton)

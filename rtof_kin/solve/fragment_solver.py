@@ -52,7 +52,8 @@ class FragmentSolver:
         space: Space | None = None,
         terms: Sequence[Term] = (),
     ) -> None:
-        """Build the solver.
+        """Build the solver. `InvalidInputError`: invalid N, settings of the other space, or joint space without a pose
+        prior; `UnknownNameError`: unknown segment, space or joint of a term.
 
         Args:
             frames: N, even, at least 8.
@@ -62,10 +63,6 @@ class FragmentSolver:
                 joint space those with data.
             space: one of `SPACES`. None: that of the settings, else `usual_space`.
             terms: further residuals, whose observations `solve` takes.
-
-        Raises:
-            InvalidInputError: invalid N, settings of the other space, or joint space without a pose
-                prior. UnknownNameError: unknown segment, space or joint of a term.
         """
         if frames < 8 or frames % 2:
             raise InvalidInputError(f"frames: N = {frames} must be even and at least 8")

@@ -67,6 +67,7 @@ class InertialGuidedIK:
         self, poses: PoseSequence, bone_imus: BoneImuSequence | None = None, R_observed: Array | None = None
     ) -> PoseSequence:
         """Return rigid poses, limb directions corrected by the sensors, root positions unchanged.
+        `UnknownNameError`: poses or sensors of another skeleton; `ShapeError`: other joints.
 
         Args:
             poses: (T, J) positions of this skeleton's joints. Frames with NaN stay NaN.
@@ -74,9 +75,6 @@ class InertialGuidedIK:
             R_observed: (T, J, 3, 3) orientations observed by a lifter, NaN where missing: of segments with one bone the
                 twist is used, of others all. (An average with orientations from positions, whose hips and shoulders err
                 alike, is worse: upper trunk 9.6 in place of 9.2 degrees, pelvis 15.8 in place of 13.5.)
-
-        Raises:
-            UnknownNameError: poses or sensors of another skeleton. ShapeError: other joints.
         """
         R, sensed = self._rotations(poses, bone_imus, R_observed)
         parents, offsets = self.skeleton.parents, self.skeleton.joint_offsets

@@ -186,10 +186,8 @@ class MotionTerm(ObservedTerm):
 
 
 def check_terms(terms: Sequence[Term], joints: Sequence[str], built_in: Sequence[str], space: str) -> None:
-    """Check that terms from outside can stand beside those of an energy.
-
-    Raises:
-        UnknownNameError: no such joint. InvalidInputError: a name is taken, or the space has no such terms.
+    """Check that terms from outside can stand beside those of an energy. `UnknownNameError`: no such joint;
+    `InvalidInputError`: a name is taken, or the space has no such terms.
     """
     names = [*built_in, *(term.name for term in terms)]
     if double := [name for name in names if names.count(name) > 1]:
@@ -208,9 +206,7 @@ def check_terms(terms: Sequence[Term], joints: Sequence[str], built_in: Sequence
 
 def observed_rows(terms: Sequence[Term], data: Mapping[str, PointData], frames: int) -> dict[str, Array]:
     """Return observations (T, size) and weights (T,) of terms from outside by name, 0 where nothing was observed.
-
-    Raises:
-        InvalidInputError: wrong shapes, or sigma is not positive.
+    `InvalidInputError`: wrong shapes, or sigma is not positive.
     """
     out: dict[str, Array] = {}
     for term in (t for t in terms if isinstance(t, ObservedTerm)):

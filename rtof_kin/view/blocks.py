@@ -33,10 +33,7 @@ class BlockCache(Generic[T]):
     def at(self, frame: int, seconds: float = 0.0) -> tuple[T, int] | None:
         """Return the block of a frame and the frame's place in it; None while that is read or computed.
 
-        `seconds`: to wait for it, s.
-
-        Raises:
-            RtofError: the block cannot be read.
+        `seconds`: to wait for it, s. `RtofError`: the block cannot be read.
         """
         deadline = time.monotonic() + seconds
         number, place = divmod(frame, self._size)

@@ -40,9 +40,7 @@ class VideoFrames:
 
     def __init__(self, path: str | Path, receive: Callable[[Image], None]):
         """Open the video; end it with `close`. `receive`: called in the thread with (height, width, 3) RGB images.
-
-        Raises:
-            FileFormatError: not a readable video, or one without times. RtofError: the extra is missing.
+        `FileFormatError`: not a readable video, or one without times; `RtofError`: the extra is missing.
         """
         self.path, self._receive = Path(path), receive
         self.problem: RtofError | None = None

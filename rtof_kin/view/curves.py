@@ -105,10 +105,8 @@ class Curves:
         return tuple(names.get(choice.value) for choice in self._choices)
 
     def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
-        """Show the curves around a time; return False while they are computed. `time`: of it, s.
-
-        Raises:
-            RtofError: the motion cannot be read.
+        """Show the curves around a time; return False while they are computed. `time`: of it, s. `RtofError`: the
+        motion cannot be read.
         """
         if all(name is None for name in self.chosen):
             none = np.full(2, np.nan)

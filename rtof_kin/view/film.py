@@ -62,10 +62,8 @@ class OverlayResult:
 
 
 def read_result(folder: str | Path) -> ResultFiles:
-    """Read the output of `reconstruct` or `run`.
-
-    Raises:
-        FileFormatError: a file is missing or damaged; of an output of an earlier version, the message says what to do.
+    """Read the output of `reconstruct` or `run`. `FileFormatError`: a file is missing or damaged; of an output of an
+    earlier version, the message says what to do.
     """
     folder = motion_folder(folder)
     with MotionReader(folder) as reader:
@@ -99,10 +97,8 @@ def write_overlay(
 
     `folder`: output of `reconstruct` or `run`. `output`: file to write, .mp4 or .gif. `video`: that the motion was
     computed from; None for a plain background. `view`: number of the camera, from 1. `overwrite`: replace an existing
-    file. `progress`: called with ("draw", pictures done, pictures in all).
-
-    Raises:
-        RtofError: an input is missing, damaged or does not fit; the output exists or cannot be written.
+    file. `progress`: called with ("draw", pictures done, pictures in all). `RtofError`: an input is missing, damaged or
+    does not fit; the output exists or cannot be written.
     """
     settings = settings or OverlaySettings()
     gif = check_suffix(output) == ".gif"
@@ -136,9 +132,7 @@ def write_overlay(
 
 def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureView:
     """Return the camera of a motion, or a virtual one where there was none. `number`: of the camera, from 1.
-
-    Raises:
-        InvalidInputError: no camera of this number, or none with the geometry of the video.
+    `InvalidInputError`: no camera of this number, or none with the geometry of the video.
     """
     views = result.measurements.views
     if not views:

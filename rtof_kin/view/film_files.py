@@ -66,9 +66,7 @@ class FilmSource:
     @classmethod
     def of_video(cls, path: str | Path, view: PictureView) -> Self:
         """Return the frames of a video whose picture has the shape of a view's; stamps are those of the file.
-
-        Raises:
-            FileFormatError: not a readable video. InvalidInputError: its picture has another shape.
+        `FileFormatError`: not a readable video; `InvalidInputError`: its picture has another shape.
         """
         metadata, camera = read_video_metadata(path), view.camera
         across, down = metadata.width_px / camera.width_px, metadata.height_px / camera.height_px
@@ -124,9 +122,7 @@ def check_size(path: str | Path, size: tuple[int, int], view: PictureView) -> tu
 
 def check_times(path: str | Path, metadata: VideoMetadata, view: PictureView, shift: float) -> tuple[str, ...]:
     """Return sentences on what does not fit between a video and a motion. `shift`: s, added to the times of the video.
-
-    Raises:
-        InvalidInputError: no frame of the video is at a time of the motion.
+    `InvalidInputError`: no frame of the video is at a time of the motion.
     """
     first, last = float(view.video_times[0]), float(view.video_times[-1])
     seconds, rate, notes = metadata.seconds, metadata.rate_hz, list[str]()
@@ -276,11 +272,7 @@ FilmWriter = Mp4Writer | GifWriter
 
 
 def check_suffix(path: str | Path) -> str:
-    """Return the suffix of a film that can be written.
-
-    Raises:
-        InvalidInputError: another suffix.
-    """
+    """Return the suffix of a film that can be written. `InvalidInputError`: another suffix."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidInputError(f"{path}: its name must end with {' or '.join(SUFFIXES)}")

@@ -56,11 +56,7 @@ class Verdict:
 
 
 def read_verdict(folder: Path) -> Verdict:
-    """Return the verdict of a motion's summary.
-
-    Raises:
-        FileFormatError: the summary is no JSON.
-    """
+    """Return the verdict of a motion's summary. `FileFormatError`: the summary is no JSON."""
     path = folder / SUMMARY
     if not path.is_file():
         return Verdict("", f"there is no {SUMMARY} beside the motion; reconstruct again", "")

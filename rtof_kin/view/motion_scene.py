@@ -148,10 +148,8 @@ class MotionScene:
         measurements: MeasurementsReader | None = None,
         second: MotionReader | None = None,
     ):
-        """Add everything to the scene; nothing is shown before `show`.
-
-        Raises:
-            InvalidInputError: the measurements are of another motion. FileFormatError: a damaged file.
+        """Add everything to the scene; nothing is shown before `show`. `InvalidInputError`: the measurements are of
+        another motion; `FileFormatError`: a damaged file.
         """
         if measurements is not None and len(measurements) != len(motion):
             raise InvalidInputError(
@@ -179,11 +177,7 @@ class MotionScene:
         self._path_shown: Any = None
 
     def show(self, frame: int, seconds: float = 0.0) -> SceneBlock | None:
-        """Show a frame; return its block, or None while it is being read.
-
-        Raises:
-            RtofError: it cannot be read.
-        """
+        """Show a frame; return its block, or None while it is being read. `RtofError`: it cannot be read."""
         found = self._blocks.at(frame, seconds)
         if found is None:
             return None

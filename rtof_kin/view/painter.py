@@ -171,10 +171,8 @@ class AngleLabels:
 def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLabels:
     """Return the labels of chosen angles.
 
-    `chosen`: names of angles; by default `USUAL`, those with a value at any time.
-
-    Raises:
-        UnknownNameError: there is no such angle.
+    `chosen`: names of angles; by default `USUAL`, those with a value at any time. `UnknownNameError`: there is no such
+    angle.
     """
     angles = clinical_angles(motion)
     known: Mask = np.asarray(np.isfinite(angles.trusted_values).any(axis=0))

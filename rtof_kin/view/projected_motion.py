@@ -54,9 +54,7 @@ PictureView = KeypointSequence | VirtualView
 
 def virtual_view(motion: Motion) -> VirtualView:
     """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
-
-    Raises:
-        InvalidInputError: no frame of the motion has a pose.
+    `InvalidInputError`: no frame of the motion has a pose.
     """
     p, R = motion.poses.p_world_joint, motion.poses.R_world_bone[:, 0]
     known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))

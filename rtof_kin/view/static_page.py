@@ -48,9 +48,7 @@ class StaticPage:
 
 def frames_of_page(times: Array, start: float | None, stop: float | None, rate_hz: float) -> list[int]:
     """Return the frames that a page shows. `times`: (T,) s. start, stop: of the part, s; None: that of the motion.
-
-    Raises:
-        InvalidInputError: the part is empty, or the rate not positive.
+    `InvalidInputError`: the part is empty, or the rate not positive.
     """
     if not 0 < rate_hz < np.inf:
         raise InvalidInputError(f"rate: {rate_hz:g} Hz is not positive")
@@ -84,10 +82,8 @@ def write_static_page(
 
     `server`: of `local_server`, without a scene. `start`, `stop`: of the part, s. `rate_hz`: frames per second, at
     most. `overwrite`: replace an existing file. `progress`: called with ("page", frames done, frames in all).
-
-    Raises:
-        InvalidInputError: an empty part, or it would exceed the limit even at `slowest_hz`.
-        OutputExistsError, WritingError: the file cannot be written.
+    `InvalidInputError`: an empty part, or it would exceed the limit even at `slowest_hz`; `OutputExistsError`,
+    `WritingError`: the file cannot be written.
     """
     times = files.motion.times
     frames = frames_of_page(times, start, stop, rate_hz)

@@ -67,9 +67,7 @@ class MotionViewer:
 
     def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
         """Build scene and panel, and show the first frame. `server`: of `local_server`. `files`: of `motion_files`.
-
-        Raises:
-            InvalidInputError: more videos than cameras. RtofError: a file cannot be read.
+        `InvalidInputError`: more videos than cameras; `RtofError`: a file cannot be read.
         """
         self._files, self._closing = files, ExitStack()
         motion, notes = files.motion, files.notes
@@ -194,10 +192,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
     It cannot be shared over viser's public relay, and answers only who knows its `address`, see
     `rtof_kin.core.local_door`.
 
-    `port`: TCP port; 0: a free one.
-
-    Raises:
-        SourceError: the port is taken. RtofError: the extra is not installed.
+    `port`: TCP port; 0: a free one. `SourceError`: the port is taken; `RtofError`: the extra is not installed.
     """
     viser = optional("viser", "view")
     if not 0 <= port < 1 << 16:

@@ -93,13 +93,11 @@ class Detections:
     def of_frames(
         cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
-        """Create detections from the people of each frame.
+        """Create detections from the people of each frame. `InvalidInputError`: no people, different numbers of points,
+        or too much data.
 
         Args:
             frames: frame number -> people; frames without an entry are empty. times: (T,) s.
-
-        Raises:
-            InvalidInputError: no people, different numbers of points, or too much data.
         """
         sizes = {number: {len(p.points) for p in people} for number, people in frames.items()}
         K = next((size for some in sizes.values() for size in some), None)
@@ -146,9 +144,7 @@ class Detections:
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
         """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
-
-        Raises:
-            InvalidInputError: the image size is missing.
+        `InvalidInputError`: the image size is missing.
         """
         largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
         if largest > _LARGEST_RELATIVE:

@@ -68,15 +68,12 @@ _MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 def read_detector_file(
     path: str | Path, width_px: int | None = None, height_px: int | None = None, layout: str | None = None
 ) -> Detections:
-    """Read the detections of all people in a video.
+    """Read the detections of all people in a video. `FileFormatError`: unknown format, damaged, or without people.
 
     Args:
         path: a file or folder of one of the formats above.
         width_px, height_px: size of the image, for coordinates that are fractions of it.
         layout: that is wanted of whole bodies; body and feet by default.
-
-    Raises:
-        FileFormatError: unknown format, damaged, or without people.
     """
     path = Path(path)
     with reading(path):

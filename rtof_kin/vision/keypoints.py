@@ -69,7 +69,8 @@ def read_detector_keypoints(
     person: int | None = None,
     frame: int | None = None,
 ) -> DetectedKeypoints:
-    """Read keypoints of one person from a detector's file or folder.
+    """Read keypoints of one person from a detector's file or folder. `FileFormatError`: damaged, unknown format or
+    layout, no people, or neither times nor a rate; `UnknownNameError`: unknown `layout`.
 
     Args:
         path: see `rtof_kin.vision.keypoint_files`.
@@ -78,10 +79,6 @@ def read_detector_keypoints(
         rate_hz: frame rate, for files without times. start: s, added to all times.
         person: index of the person among those of `frame`; chosen automatically if None.
         frame: frame of `person`; the first with people if None.
-
-    Raises:
-        FileFormatError: damaged, unknown format or layout, no people, or neither times nor a rate.
-        UnknownNameError: unknown `layout`.
     """
     path = Path(path)
     found = read_detector_file(path, camera.width_px, camera.height_px, layout)

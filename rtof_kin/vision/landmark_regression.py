@@ -178,15 +178,12 @@ class LandmarkRegression:
         return _default(detector_table())
 
     def apply(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
-        """Estimate the landmarks of one person.
+        """Estimate the landmarks of one person. `UnknownNameError`: unknown layout; `InvalidInputError`: wrong number
+        of points, or too few detected in every frame.
 
         Args:
             layout: name of the layout; points of 'joints' and 'landmarks' are returned unchanged.
             uv_px: (T, K, 2) px, NaN where not detected. confidence: (T, K) in [0, 1], 0 where not detected.
-
-        Raises:
-            UnknownNameError: unknown layout.
-            InvalidInputError: wrong number of points, or too few detected in every frame.
         """
         form = self.table.layout(layout)
         uv, confidence, seen = _checked(form, uv_px, confidence)
@@ -329,18 +326,15 @@ def recognise(
     layout: str | None = None,
     regression: LandmarkRegression | None = None,
 ) -> Recognition:
-    """Recognise or verify the layout of the points of one or more people.
+    """Recognise or verify the layout of the points of one or more people. `UnknownNameError`: unknown `layout`;
+    `InvalidInputError`: number or names of the points do not match, the geometry is not a person's, or two layouts are
+    equally likely.
 
     Args:
         uv_px: (..., K, 2) px, NaN where not detected. confidence: (..., K), 0 where not detected.
         names: K names of the points in the file, if it has them.
         layout: name of the layout to verify; None to recognise it.
         regression: layouts and geometry; the shipped ones if None.
-
-    Raises:
-        UnknownNameError: unknown `layout`.
-        InvalidInputError: number or names of the points do not match, the geometry is not a person's, or
-            two layouts are equally likely.
     """
     regression = regression or LandmarkRegression.default()
     table, K = regression.table, uv_px.shape[-2]

@@ -318,10 +318,8 @@ _SPREAD_MM: Final = 20.0  #: Of a point of a user's file that does not say it
 
 
 def read_layout(path: str | Path) -> Layout:
-    """Read the one layout of a user's file, whose form is that of ``models/detectors.toml``.
-
-    Raises:
-        FileFormatError or UnknownNameError: with file, field and remedy.
+    """Read the one layout of a user's file, whose form is that of ``models/detectors.toml``. `FileFormatError`,
+    `UnknownNameError`: with file, field and remedy.
     """
     file = LayoutFile.read(path)
     if len(file.layout) != 1:

@@ -153,7 +153,8 @@ def split_convention(path: str | Path) -> tuple[Path, str]:
 
 
 def read_lift_points(path: str | Path, wanted: str = "", frame_times: Array | None = None) -> LiftPoints:
-    """Read the 3D points of another model, on any axes and scale.
+    """Read the 3D points of another model, on any axes and scale. `FileFormatError`: missing, damaged or of another
+    kind; no convention, or no times. `UnknownNameError`: no such convention.
 
     Args:
         path: ``.trc``, ``.c3d``; ``.npz`` with p_world, joints, keypoints_3d or pred_keypoints_3d (T, K, 3), names (K,)
@@ -161,10 +162,6 @@ def read_lift_points(path: str | Path, wanted: str = "", frame_times: Array | No
             where missing); ``.csv`` with the columns time and NAME_x, NAME_y, NAME_z.
         wanted: convention of the joints, where their names or number do not say it.
         frame_times: (T,) s of the video's frames, for an array without times.
-
-    Raises:
-        FileFormatError: missing, damaged or of another kind; no convention, or no times. UnknownNameError: no such
-            convention.
     """
     path = Path(path)
     read: dict[str, Callable[[], MarkerSequence]] = {

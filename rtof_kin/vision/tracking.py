@@ -133,15 +133,12 @@ def track_person(
     frame: int | None = None,
     image_px: tuple[float, float] | None = None,
 ) -> PersonTrack:
-    """Track one person.
+    """Track one person. `InvalidInputError`: there is no such person in that frame.
 
     Args:
         times: (T,) s. person: index among the people of `frame`; None: the largest, most central and most often seen.
         frame: frame of `person`; None: the first with people.
         image_px: width and height of the image; None: the centre is that of all people.
-
-    Raises:
-        InvalidInputError: there is no such person in that frame.
     """
     present = detections.present
     if person is None and present.shape[1] == 1:

@@ -151,15 +151,13 @@ def new_folder(
     path: str | Path, marker: str, overwrite: bool = False, inputs: Mapping[str, str] | None = None
 ) -> Iterator[Path]:
     """Yield a temporary folder that is renamed to `path` when the block ends without an error.
+    `OutputExistsError`: `path` exists, or appears meanwhile, and may not be replaced; `WritingError`: it cannot be
+    written.
 
     Args:
         marker: name of a file that every folder of this kind contains.
         overwrite: replace an earlier folder of this kind, see `check_replaceable`.
         inputs: fingerprints of what it is made from, for `core.files.manifest.made_from`.
-
-    Raises:
-        OutputExistsError: `path` exists, or appears meanwhile, and may not be replaced.
-        WritingError: it cannot be written.
     """
     path = Path(os.path.abspath(path))
     check_replaceable(path, marker, overwrite)

@@ -121,15 +121,12 @@ class Hdf5Writer:
             self._file.attrs[name] = np.char.encode(array, "utf-8") if array.dtype.kind == "U" else array
 
     def append(self, rows: Mapping[str, NDArray[Any]], at: int | None = None) -> None:
-        """Append rows to arrays, each of which may have another number of them.
+        """Append rows to arrays, each of which may have another number of them. `InvalidInputError`: another type or
+        shape than before. `OSError`: the disk is full; it becomes a `WritingError` at the end of the context.
 
         Args:
             rows: (n, ...) by the array's name; type and shape of a row are always the same.
             at: number of the first of them, by default that of rows so far; rows between are NaN or 0.
-
-        Raises:
-            InvalidInputError: another type or shape than before. OSError: the disk is full; it becomes a
-                `WritingError` at the end of the context.
         """
         for name, array in rows.items():
             if name not in self._file:

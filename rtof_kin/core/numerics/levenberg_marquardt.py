@@ -125,7 +125,8 @@ class LevenbergMarquardt:
         multipliers: Array | None = None,
         reweigh: Callable[[Array], bool] | None = None,
     ) -> Solved:
-        """Minimise from an initial state.
+        """Minimise from an initial state. `SolverError`: the energy of the initial state is not finite, or no damping
+        makes its Hessian positive definite.
 
         Args:
             x: (N, ...) initial state.
@@ -134,10 +135,6 @@ class LevenbergMarquardt:
             multipliers: (N, M) of an earlier solution.
             reweigh: called with the initial and every new state; may change the weights of the problem, and returns
                 whether it did.
-
-        Raises:
-            SolverError: the energy of the initial state is not finite, or no damping makes its Hessian positive
-                definite.
         """
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers

@@ -38,7 +38,7 @@ class Over:
         outputs: Sequence[Array],
         places: Index | None = None,
     ) -> None:
-        """Bind a function to arrays.
+        """Bind a function to arrays. `ShapeError`: an array has too few frames or numbers, or another memory layout.
 
         Args:
             code: the function in its library (`compile_simd`), None to interpret it.
@@ -47,9 +47,6 @@ class Over:
                 same stride.
             places: (groups,) of a placed output (frames, k): column of each group in the row of a frame; rows may
                 overlap.
-
-        Raises:
-            ShapeError: an array has too few frames or numbers, or another memory layout.
         """
         f, ins, outs = given.function, list(inputs), list(outputs)
         if len(ins) != f.n_in() or len(outs) != f.n_out():

@@ -118,25 +118,20 @@ def formats() -> tuple[Format, ...]:
 
 
 def add_format(form: Format) -> None:
-    """Add a format for this process, in place of an added one of the same title.
-
-    Raises:
-        InvalidInputError: its title is that of a built-in format.
+    """Add a format for this process, in place of an added one of the same title. `InvalidInputError`: its title is that
+    of a built-in format.
     """
     ADDED.add(form, [one.title for one in FORMATS])
 
 
 def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) -> SensorLog:
-    """Read the sensors of one trial, in SI units.
+    """Read the sensors of one trial, in SI units. `FileFormatError`: no known file, files of two formats or two trials,
+    or damaged; `UnknownNameError`: unknown field or value.
 
     Args:
         path: a file, several files, or a folder of files, all of one trial.
         declared: fields of `Declaration` that replace the format's own, e.g. ``acceleration_unit="g"``
             or ``rate_hz=60``.
-
-    Raises:
-        FileFormatError: no known file, files of two formats or two trials, or damaged.
-        UnknownNameError: unknown field or value.
     """
     given = [path] if isinstance(path, str | Path) else list(path)
     if not given:

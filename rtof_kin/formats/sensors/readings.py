@@ -125,11 +125,8 @@ class Readings:
     notes: tuple[str, ...] = ()  #: Remarks of the reader, in sentences
 
     def stream(self, declaration: Declaration) -> SensorStream:
-        """Convert to SI units and this package's frames.
-
-        Raises:
-            InvalidInputError: invalid times or matrices, a number beyond all measure, or gravity was
-                removed and there is no orientation.
+        """Convert to SI units and this package's frames. `InvalidInputError`: invalid times or matrices, a number
+        beyond all measure, or gravity was removed and there is no orientation.
         """
         for kind in ("times", "acceleration", "gyroscope", "magnetometer", "quaternions"):
             values = getattr(self, kind)
@@ -170,13 +167,10 @@ def sensor_log(
     file_notes: Iterable[str] = (),
     start_utc: datetime | None = None,
 ) -> SensorLog:
-    """Make the log of one trial.
+    """Make the log of one trial. `FileFormatError`: no sensor, a name twice, or invalid numbers.
 
     Args:
         start_utc: of the earliest sample, if the files state it.
-
-    Raises:
-        FileFormatError: no sensor, a name twice, or invalid numbers.
     """
     path = paths[0] if len(paths) == 1 else paths[0].parent
     with reading(path):

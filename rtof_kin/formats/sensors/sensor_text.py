@@ -105,16 +105,14 @@ def read_table(
     names_above: str = "",
 ) -> SensorTable:
     """Read the table of a text file. A last line that was cut off is left out, with a note.
+    `FileFormatError`: unreadable, no column names, a name twice, no packet, a row of another length, or a cell that is
+    no number; names the line.
 
     Args:
         is_header: whether the cells of a line are the column names.
         wanted: whether the column of a name is read; other columns may hold any text.
         decimal_commas: whether 1,5 is one and a half where cells are not separated by commas.
         names_above: line of column names of a file that has none.
-
-    Raises:
-        FileFormatError: unreadable, no column names, a name twice, no packet, a row of another length,
-            or a cell that is no number; names the line.
     """
     rows: Iterator[tuple[int, str]] = chain([(0, names_above)] if names_above else (), text_lines(path))
     header: list[str] = []

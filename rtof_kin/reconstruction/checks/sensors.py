@@ -182,13 +182,10 @@ def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
 
     How the calibration has to change is chosen by the likelihood of the calibrated motion: the sensors were calibrated
     on the wrong segments, in a T-pose or an N-pose, or their samples are filed under each other's names.
+    `InvalidInputError`: no IMUs or calibration, or too little of them; `ViewError`: a lifted pose is behind the camera.
 
     Returns:
         The check, and the recording with the correction, or as it is where nothing is wrong.
-
-    Raises:
-        InvalidInputError: no IMUs or calibration, or too little of them.
-        ViewError: a lifted pose is behind the camera.
     """
     imus, calibration = recording.imus, recording.calibration
     if imus is None or calibration is None:

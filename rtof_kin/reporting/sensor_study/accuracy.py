@@ -160,11 +160,8 @@ class Part:
 
 
 def liveliest_part(recording: Recording, longest: float) -> Part:
-    """Return the part of a recording with IMUs in which the sensors turn most while the camera sees the
-    person, at most `longest` s.
-
-    Raises:
-        InvalidInputError: `longest` is not positive.
+    """Return the part of a recording with IMUs in which the sensors turn most while the camera sees the person, at most
+    `longest` s. `InvalidInputError`: `longest` is not positive.
     """
     if not longest > 0:
         raise InvalidInputError(f"seconds: {longest}; study more than 0 of a recording")

@@ -147,11 +147,7 @@ class Runs:
         return FullSet(SensorSet.read(facts, arrays), angles, self._common.truth, verdict, facts["choices"])
 
     def measured(self, sets: Sequence[tuple[str, ...]], what: str) -> tuple[SensorSet, ...]:
-        """Measure sets that do not depend on each other, after `full`.
-
-        Raises:
-            RtofError: a run failed; the others are saved.
-        """
+        """Measure sets independent of each other, after `full`. `RtofError`: a run failed; the others are saved."""
         if not sets:
             return ()
         jobs = {self._key(sensors): replace(self._common, sensors=sensors) for sensors in sets}

@@ -137,6 +137,8 @@ def study_sensors(
     """Reconstruct a recording with all sensors, without each of them, and with fewer and fewer.
 
     The recording is not calibrated; apply `SelfCalibration.apply` with all sensors before, if wanted.
+    `InvalidInputError`: there are no sensors, or only one and no camera; `longest` is not positive. `RtofError`: a run
+    failed; the others are saved.
 
     Args:
         recording: with calibrated IMUs, with or without keypoints.
@@ -149,10 +151,6 @@ def study_sensors(
         folder: where each run is saved; runs that it has are not repeated, so it must be one that
             `rtof_kin.core.jobs.open_runs` made for this recording and these settings. None: nothing is saved.
         workers: processes, see `rtof_kin.core.jobs.run_jobs`. progress: see `runs.Progress`.
-
-    Raises:
-        InvalidInputError: there are no sensors, or only one and no camera; `longest` is not positive.
-        RtofError: a run failed; the others are saved.
     """
     _check_removable(recording)
     imus, bone_imus, camera = recording.imus, recording.bone_imus(), recording.keypoints is not None
@@ -178,10 +176,8 @@ def study_sensors(
 def identity_of(
     recording: Recording, lifter: LifterLike | None, settings: ReconstructionSettings, longest: float
 ) -> dict[str, Any]:
-    """Return everything that the runs of a study depend on, as plain values for `open_runs`.
-
-    Raises:
-        InvalidInputError: see `study_sensors`.
+    """Return everything that the runs of a study depend on, as plain values for `open_runs`. `InvalidInputError`: see
+    `study_sensors`.
     """
     _check_removable(recording)
     part = liveliest_part(recording, longest)
