@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
-import numpy as np
-
 from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.corrections import Correction
 
 BLOCK: Final = 3600  #: Frames of a block: a minute at 60 Hz
@@ -36,7 +35,7 @@ class Block:
         return slice(self.before, self.before + self.stop - self.start)
 
 
-class MotionSource:
+class MotionSource(Sampled):
     """A motion that may be longer than memory allows; functions read it in blocks, as often as they need to.
 
     Attributes:
@@ -73,9 +72,6 @@ class MotionSource:
 
         return MotionSource(motion.skeleton, motion.times, read, corrections=motion.corrections)
 
-    def __len__(self) -> int:
-        return len(self.times)
-
     def __getitem__(self, frames: slice) -> MotionSource:
         """Return consecutive frames."""
         first, last, _ = frames.indices(len(self))
@@ -93,11 +89,6 @@ class MotionSource:
             return replace(motion, poses=replace(motion.poses, times=times[start:stop]), confidence=None)
 
         return MotionSource(self.skeleton, times, read, self.masks)
-
-    @property
-    def rate_hz(self) -> float:
-        """Frame rate, Hz, from the median step; 60 for a single frame."""
-        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     @property
     def masks(self) -> ObservationMasks:

@@ -20,6 +20,7 @@ from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.over_time import Sampled
 from rtof_kin.solve.joint_space.fragment import FragmentData
 from rtof_kin.solve.joint_space.observations import Attached, fragment_of
 from rtof_kin.solve.joint_space.state import StateSpace
@@ -28,7 +29,7 @@ _CUTOFF_HZ = 2.0  # [Hz] Low-pass of accelerations before differentiation
 
 
 @dataclass(frozen=True)
-class CalibrationObservations:
+class CalibrationObservations(Sampled):
     """Observations of T frames and constants; see `Observations`."""
 
     times: Array  # (T,) stamps of the video, s
@@ -38,11 +39,6 @@ class CalibrationObservations:
     w_acceleration: Array  # (T, S) 1 / sigma^2 of each
     length_scale: float = 1.0  # [1] Factor on the body's size
     weight_of_motion: float = 1.0  # [1] Factor on the weights of accelerations and jerk
-
-    @property
-    def rate_hz(self) -> float:
-        """Frames per second."""
-        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
 
     @cached_property
     def jerk_world(self) -> Array:

@@ -45,6 +45,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.opensim import ROOT_AXES, OpenSimTable, coordinates
 from rtof_kin.formats.trial_results import AngleBlock
@@ -61,7 +62,7 @@ _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIREC
 
 
 @dataclass(frozen=True)
-class ClinicalAngles:
+class ClinicalAngles(Sampled):
     """Joint angles over time by clinical name."""
 
     times: Array  #: (T,) seconds, strictly increasing
@@ -85,9 +86,6 @@ class ClinicalAngles:
                 object.__setattr__(self, name, readonly(f"angle {name}", given, shape, kind))
         if self.sigma is not None and (np.any(self.sigma < 0) or np.isinf(self.sigma).any()):
             raise InvalidInputError("angle sigma: negative or infinite; use NaN where it is unknown")
-
-    def __len__(self) -> int:
-        return len(self.times)
 
     def __getitem__(self, name: str) -> Array:
         """(T,) radians of one angle; raises `UnknownNameError` for an unknown name."""
@@ -117,11 +115,6 @@ class ClinicalAngles:
         """Return a mask (T', A) of known and reliable values."""
         known = np.isfinite(self.values[frames])
         return known if self.trusted is None else known & self.trusted[frames]
-
-    @property
-    def rate_hz(self) -> float:
-        """Frames per second, from the median step; 60 for a single frame."""
-        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     def select(self, names: Sequence[str]) -> Self:
         """Return some of the angles."""

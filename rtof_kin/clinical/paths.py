@@ -14,12 +14,13 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence
 
 
 @dataclass(frozen=True)
-class BodyPaths:
+class BodyPaths(Sampled):
     """Positions of a few points of a whole motion of any length, and what was observed of it."""
 
     times: Array  #: (T,) seconds
@@ -31,18 +32,10 @@ class BodyPaths:
     masks: ObservationMasks  #: Of all joints
     corrections: tuple[Correction, ...] = ()  #: By hand, of the recording
 
-    def __len__(self) -> int:
-        return len(self.times)
-
     @property
     def skeleton(self) -> SkeletonModel:
         """Of the subject."""
         return self.masks.skeleton
-
-    @property
-    def rate_hz(self) -> float:
-        """Frame rate, Hz, from the median step; 60 for a single frame."""
-        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     def joint(self, term: str) -> int:
         """Return the index of the joint of a term."""

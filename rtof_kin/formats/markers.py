@@ -19,9 +19,9 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import c3d
 import numpy as np
@@ -32,18 +32,20 @@ from rtof_kin.core.checks import checked_names, checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file, measurable, numbers_of, read_text
+from rtof_kin.core.over_time import OverTime
 from rtof_kin.core.packages import optional
 from rtof_kin.formats.trial_results import TrialResults, add_parameters
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 
 @dataclass(frozen=True)
-class MarkerSequence:
+class MarkerSequence(OverTime):
     """Positions of markers, or of other named points, in world."""
 
     times: Array  #: (T,) seconds, strictly increasing
     names: tuple[str, ...]  #: M names
     p_world: Array  #: (T, M, 3) m; NaN as a whole where missing
+    rows = ("p_world",)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -55,12 +57,6 @@ class MarkerSequence:
             raise InvalidInputError("markers p_world: infinite; write NaN where a marker was not seen")
         p[np.isnan(p).any(axis=-1)] = np.nan
         set_(self, "p_world", readonly("markers p_world", p, shape))
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def __getitem__(self, frames: slice) -> Self:
-        return replace(self, times=self.times[frames], p_world=self.p_world[frames])
 
     def blocks(self) -> Iterator[Array]:
         """Yield the markers in one block; see `MarkerBlocks`."""
