@@ -124,7 +124,7 @@ def overlay(
     view: Annotated[int, Parameter(metavar="N")] = 1,
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw a motion on its video, as an MP4 or GIF.
+    """Draw a motion on its video, as an MP4.
 
     Skeleton coloured by what observed it, and none where nothing did; angles with their 95 % bands, faults of sensors
     while they last, and time. Prints the verdict on the motion. Sound and metadata of the video (place, date, device)

@@ -16,18 +16,7 @@ from rtof_kin.core.files.folder import check_new_file, new_file
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path, read_measurements
 from rtof_kin.view.canvas import resized
-from rtof_kin.view.film_files import (
-    GIF_HEIGHT,
-    GIF_WIDTH,
-    FilmSource,
-    FilmWriter,
-    GifWriter,
-    Mp4Writer,
-    check_size,
-    check_suffix,
-    check_times,
-    scale_of,
-)
+from rtof_kin.view.film_files import FilmSource, Mp4Writer, check_size, check_times, scale_of
 from rtof_kin.view.legend import Verdict, read_verdict
 from rtof_kin.view.overlay_settings import OverlaySettings
 from rtof_kin.view.painter import Painter
@@ -91,17 +80,18 @@ def write_overlay(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> OverlayResult:
-    """Draw a motion on its video, or on a plain background, and write it as an MP4 or GIF.
+    """Draw a motion on its video, or on a plain background, and write it as an MP4.
 
     Sound and metadata of the video are not copied.
 
-    `folder`: output of `reconstruct` or `run`. `output`: file to write, .mp4 or .gif. `video`: that the motion was
+    `folder`: output of `reconstruct` or `run`. `output`: file to write, .mp4. `video`: that the motion was
     computed from; None for a plain background. `view`: number of the camera, from 1. `overwrite`: replace an existing
     file. `progress`: called with ("draw", pictures done, pictures in all). `RtofError`: an input is missing, damaged or
     does not fit; the output exists or cannot be written.
     """
     settings = settings or OverlaySettings()
-    gif = check_suffix(output) == ".gif"
+    if Path(output).suffix.lower() != ".mp4":
+        raise InvalidInputError(f"{output}: its name must end with .mp4")
     check_new_file(output, overwrite)
     result = read_result(folder)
     chosen = choose_view(result, view, video is not None)
@@ -113,15 +103,14 @@ def write_overlay(
         source, times, shift = FilmSource.of_video(video, chosen), chosen.video_times, settings.shift
         assert source.metadata is not None
         notes = check_size(video, source.size, chosen) + check_times(video, source.metadata, chosen, shift)
-    size = _output_size(source.size, settings.width_px, gif)
+    width = settings.width_px or source.size[0]
+    size = width, max(round(source.size[1] * width / source.size[0]), 1)
     scale = size[0] / source.size[0] * scale_of(source.size, chosen)
     scaled = ScaledView(chosen, scale, *size, times)
     title = _title(result) if settings.title is None else " ".join(settings.title.split())
     painter = Painter(ProjectedMotion(result.motion, scaled), title, result.measurements.faults, settings)
     with new_file(output, overwrite) as file:
-        rate = source.rate_hz
-        writer: FilmWriter = GifWriter(file, rate) if gif else Mp4Writer(file, size, rate)
-        with writer:
+        with Mp4Writer(file, size, source.rate_hz) as writer:
             frames, without = _draw(source, painter, writer, size, shift, settings, progress)
         if frames == 0:
             first = "its beginning" if settings.start is None else f"{settings.start:g} s"
@@ -161,17 +150,10 @@ def _title(result: ResultFiles) -> str:
     return " and ".join(counted) + f", mode {result.mode}"
 
 
-def _output_size(size: tuple[int, int], width_px: int | None, gif: bool) -> tuple[int, int]:
-    """Return width and height of the output, px."""
-    fits = min(1.0, GIF_WIDTH / size[0], GIF_HEIGHT / size[1]) if gif else 1.0
-    width = width_px or int(size[0] * fits)
-    return width, max(round(size[1] * width / size[0]), 1)
-
-
 def _draw(
     source: FilmSource,
     painter: Painter,
-    writer: FilmWriter,
+    writer: Mp4Writer,
     size: tuple[int, int],
     shift: float,
     settings: OverlaySettings,
@@ -186,7 +168,7 @@ def _draw(
             total = picture.index
             break
         total = max(picture.total, picture.index + 1)
-        if picture.time >= first and writer.due(picture.stamp):
+        if picture.time >= first:
             image = resized(picture.image, size)
             without += not painter.paint(image, picture.time + shift)
             writer.write(image, picture.stamp)

@@ -1,4 +1,4 @@
-"""Films: pictures that a motion is drawn on, of a video or plain, and the MP4 or GIF that is written.
+"""Films: pictures that a motion is drawn on, of a video or plain, and the MP4 that is written.
 
 No sound and no metadata of a source (place, time, device) is copied, because only pictures are passed on.
 """
@@ -28,12 +28,6 @@ _ASPECT: Final = 0.01
 _ROUNDING_PX: Final = 2.0  # Largest difference of a side by rounding
 _USUAL_HZ: Final = 30.0  # Assumed of a video that does not state its frame rate
 _RATE: Final = 0.02  # Largest relative difference of frame rates that is not pointed out
-SUFFIXES: Final = (".mp4", ".gif")
-GIF_WIDTH: Final = 480  #: Largest width of a GIF unless another one is asked for, px
-GIF_HEIGHT: Final = 640  #: Largest height of a GIF unless a width is asked for, px
-GIF_RATE_HZ: Final = 15.0  #: Highest frame rate of a GIF
-MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
-"""Most pixels of all pictures of a GIF, which are in memory until it is written."""
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
@@ -175,10 +169,6 @@ class Mp4Writer:
         self._stream = stream
         return self
 
-    def due(self, stamp: float) -> bool:  # noqa: ARG002
-        """Return True: all pictures are taken."""
-        return True
-
     def write(self, image: Image, stamp: float) -> None:
         """Add a picture. `image`: (height, width, 3), BGR. `stamp`: s."""
         first = self._first = stamp if self._first is None else self._first
@@ -212,68 +202,3 @@ class Mp4Writer:
             except self._av.FFmpegError as error:
                 if kind is None:  # else another error is on its way
                     raise self._failed(error) from error
-
-
-class GifWriter:
-    """A GIF of at most 15 pictures per second; a picture is shown until the next one."""
-
-    encoder = "GIF"
-
-    def __init__(self, path: Path, rate_hz: float):
-        self._path = path
-        self._images: list[Any] = []
-        self._stamps: list[float] = []
-        self._shortest = 1 / GIF_RATE_HZ
-        self._step = 1 / rate_hz
-
-    def __enter__(self) -> Self:
-        return self
-
-    def due(self, stamp: float) -> bool:
-        """Return whether a picture at this time is taken. `stamp`: s."""
-        if not self._stamps:
-            return True
-        number = np.floor((stamp - self._stamps[0]) * GIF_RATE_HZ + 1e-6)
-        return bool(number > np.floor((self._stamps[-1] - self._stamps[0]) * GIF_RATE_HZ + 1e-6))
-
-    def write(self, image: Image, stamp: float) -> None:
-        """Add a picture. `image`: (height, width, 3), BGR. `stamp`: s."""
-        from PIL import Image as Pictures
-
-        height, width = image.shape[:2]
-        most = MOST_OF_GIF // (width * height)
-        if len(self._images) >= most:
-            raise InvalidInputError(
-                f"overlay: a GIF of {width} x {height} px and more than {most / GIF_RATE_HZ:.0f} s is too "
-                "large; give --from and --to, a smaller --width, or write an .mp4"
-            )
-        rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
-        self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
-        self._stamps.append(stamp)
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None or not self._images:
-            return
-        last = self._stamps[-1] + max(self._step, self._shortest)
-        ends = np.round(100 * (np.array([*self._stamps, last]) - self._stamps[0]))
-        self._images[0].save(
-            self._path,
-            format="GIF",
-            save_all=True,
-            append_images=self._images[1:],
-            duration=(10 * np.diff(ends)).astype(int).tolist(),
-            loop=0,
-            optimize=False,
-            disposal=1,
-        )
-
-
-FilmWriter = Mp4Writer | GifWriter
-
-
-def check_suffix(path: str | Path) -> str:
-    """Return the suffix of a film that can be written. `InvalidInputError`: another suffix."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InvalidInputError(f"{path}: its name must end with {' or '.join(SUFFIXES)}")
-    return suffix

@@ -36,7 +36,7 @@ class OverlaySettings:
     stop: float | None = None
     """s, where to end; None for its end."""
     width_px: int | None = None
-    """Width of the output, px; None for that of the video, and at most 480 for a GIF."""
+    """Width of the output, px; None for that of the video."""
 
     def __post_init__(self) -> None:
         for name in ("shift", "start", "stop"):
