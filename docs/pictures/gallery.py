@@ -116,7 +116,7 @@ ENTRIES = (
     ),
     Entry(
         "rtof-kin report out/demo --analysis out/angles --weight 70",
-        "[Clinical angles](clinical.md) as tables and figures:",
+        "[Clinical angles](clinical.md) as tables:",
         printed=lambda studio: text_of(
             studio, "report", studio.demo, "--analysis", studio.folder / "angles", "--weight", "70"
         ),

@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from rtof_kin.body.motion_file import motion_path
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis
 from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
@@ -48,20 +47,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
-from rtof_kin.reporting.document import (
-    Cell,
-    Document,
-    Figure,
-    Table,
-    fixed,
-    label_panel,
-    number,
-    plot_band,
-    subplots,
-    write_files,
-)
-from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
+from rtof_kin.reporting.angle_names import SIDE_COLORS, label
+from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, subplots, write_files
 from rtof_kin.reporting.settings import AnalysisSettings
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 from rtof_kin.solve.uncertainty import CovarianceInflation
@@ -169,9 +156,7 @@ def document(analysis: MotionAnalysis, sensors: int | None = None) -> Document:
         "travel.json": _travel_facts(analysis.travel),
         "notes.json": {part: list(notes) for part, notes in analysis.notes.items()},
     }
-    figures = [
-        Figure("figures/angles", "Joint angles over time with their 95 % bands", lambda: angles_over_time(analysis))
-    ]
+    figures = list[Figure]()
     if analysis.curves:
         names, cells = ["cycle_percent"], [100 * PHASES]
         for curve in analysis.curves:
@@ -179,9 +164,6 @@ def document(analysis: MotionAnalysis, sensors: int | None = None) -> Document:
             names += [f"{name}_mean_deg", f"{name}_sd_deg"]
             cells += [np.degrees(curve.mean), np.degrees(curve.sd)]
         tables["gait_cycles.csv"] = Table(names, list(map(_rounded, np.stack(cells, axis=-1))))
-        if gait.is_gait:
-            alt = "Mean and standard deviation of angles over the gait cycle"
-            figures.append(Figure("figures/gait_cycles", alt, lambda: gait_cycles(analysis)))
     if analysis.repetitions is not None:
         data["repetitions.json"] = _repetition_facts(analysis.repetitions)
     if (torques := analysis.torques) is not None:
@@ -465,12 +447,6 @@ def _degrees(radians: float) -> float | None:
 # --- figures -------------------------------------------------------------------------------------
 
 MOST_DRAWN: Final = 10_000  #: Largest number of samples of a curve; an image has fewer columns of pixels
-SHOWN: Final = (
-    *("pelvis_tilt", "pelvis_list", "spine_flexion", "hip_flexion", "hip_adduction", "hip_internal_rotation"),
-    *("knee_flexion", "ankle_dorsiflexion", "ankle_inversion"),
-    *("shoulder_elevation", "elbow_flexion", "elbow_pronation"),
-)
-"""Angles that are plotted, without their side."""
 
 
 def ground_reaction_over_time(found: GroundReaction) -> Plot:
@@ -501,67 +477,3 @@ def ground_reaction_over_time(found: GroundReaction) -> Plot:
         ax.legend(fontsize=8, loc="upper right")
         ax.grid(alpha=0.3)
     return figure
-
-
-def gait_cycles(analysis: MotionAnalysis) -> Plot:
-    """Plot mean and standard deviation of angles from heel strike to heel strike of each side."""
-    figure, axes = _panels("gait cycle of the same side, from heel strike [%]")
-    for curve in analysis.curves:
-        if (shown := curve.name.removeprefix(f"{curve.side}_")) in axes:
-            strides = f"{len(curve.curves)} stride" + "s" * (len(curve.curves) != 1)
-            mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
-            plot_band(axes[shown], 100 * PHASES, mean, sd, SIDE_COLORS[curve.side], f"{curve.side}, {strides}")
-    _finish(axes)
-    for side, measures in analysis.gait.summary.items():
-        for ax in axes.values():
-            ax.axvline(100 * measures["stance_share"][0], color=SIDE_COLORS[side], lw=0.8, ls="--")
-    figure.suptitle("Angles over the gait cycle: mean and standard deviation; dashed: toe off")
-    return figure
-
-
-def angles_over_time(analysis: MotionAnalysis) -> Plot:
-    """Plot the same angles over time, with their 95 % bands."""
-    figure, axes = _panels("time [s]")
-    angles = analysis.angles
-    for a, name in enumerate(angles.names):
-        side, shown = side_and_name(name)
-        if shown in axes and np.isfinite(angles.values[:, a]).any():
-            plot_band(axes[shown], *_curve(angles, a), SIDE_COLORS[side], side or None)
-    _finish(axes)
-    bands = "" if angles.sigma is None else "; bands: 95 %"
-    figure.suptitle(f"Joint angles{bands}; gaps: not observed")
-    return figure
-
-
-def _curve(angles: ClinicalAngles, a: int) -> tuple[Array, Array, Array | None]:
-    """Times, values and half widths of the band of an angle, deg.
-
-    Of a long motion they are the lowest and the highest value of equal intervals, with the widest band.
-    """
-    times, values = angles.times, np.degrees(angles.values[:, a])
-    half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
-    if len(times) <= MOST_DRAWN:
-        return times, values, half
-    step = math.ceil(2 * len(times) / MOST_DRAWN)
-    if half is not None:
-        half = widest_bands(half, values, step)
-    return interval_times(times, step), values[envelope_frames(values, step)], half
-
-
-def _panels(xlabel: str) -> tuple[Plot, dict[str, Any]]:
-    figure, grid = subplots(4, 3, (12, 11), sharex=True)
-    for ax in grid[-1]:
-        ax.set_xlabel(xlabel, fontsize=8)
-    return figure, dict(zip(SHOWN, grid.ravel(), strict=True))
-
-
-def _finish(axes: dict[str, Any]) -> None:
-    """Add titles, with the legend beside them so that it hides no curve, and mark unobserved angles."""
-    for name, ax in axes.items():
-        label_panel(ax, label(name), "[deg]")
-        if ax.get_legend_handles_labels()[0]:
-            place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0}
-            ax.legend(fontsize=7, ncols=2, frameon=False, handlelength=1, columnspacing=1, **place)
-        elif not ax.lines:
-            ax.text(0.5, 0.5, "not observed", transform=ax.transAxes, ha="center", color="0.5")
-            ax.set_yticks([])

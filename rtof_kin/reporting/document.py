@@ -253,13 +253,6 @@ def label_panel(ax: Any, title: str, y: str, x: str = "") -> None:
         ax.set_xlabel(x, fontsize=8)
 
 
-def plot_band(ax: Any, x: Any, y: Any, half: Any, color: str, label: str | None = None) -> None:
-    """Plot a curve with its band of some half width; None: without a band."""
-    ax.plot(x, y, color=color, lw=1.2, label=label)
-    if half is not None:
-        ax.fill_between(x, y - half, y + half, color=color, alpha=0.2, lw=0)
-
-
 def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
     """Draw figures, write them as PNG, and return them by name; none without matplotlib."""
     pictures: dict[str, bytes] = {}

@@ -27,7 +27,7 @@ from rtof_kin.data.gait_reference import NAMES, PERCENT, STANDING_ZERO, VARIABLE
 from rtof_kin.formats.gait_reference import read_gait_reference
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label
 from rtof_kin.reporting.audit_results import Grade, headline
-from rtof_kin.reporting.document import Document, Figure, Section, Table, fixed, label_panel, number, plot_band
+from rtof_kin.reporting.document import Document, Figure, Section, Table, fixed, label_panel, number
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:
@@ -458,7 +458,8 @@ def _draw_curve(ax: Any, found: ScoredGait, v: int) -> None:
         y = np.degrees(own.mean[v])
         variance = np.nan_to_num(own.pose_variance[v]) + np.nan_to_num(own.stride_bound[v])
         half = BAND_95 * np.degrees(np.sqrt(variance))
-        plot_band(ax, PERCENT, y, half, SIDE_COLORS[side])
+        ax.plot(PERCENT, y, color=SIDE_COLORS[side], lw=1.2)
+        ax.fill_between(PERCENT, y - half, y + half, color=SIDE_COLORS[side], alpha=0.2, lw=0)
     if not len(ax.lines) or np.isnan(mean).all():
         ax.text(0.5, 0.5, "not in the reference", transform=ax.transAxes, ha="center", color="0.5")
     variable = VARIABLES[v]

@@ -12,7 +12,6 @@ import numpy as np
 import planted
 import pytest
 from clinical_support import walk, walking, write_analysis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from report_support import certain_to
 
 from rtof_kin.body.motion_file import write_motion
@@ -25,7 +24,6 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reporting.analysis import SHOWN, angles_over_time, gait_cycles
 from rtof_kin.solve.uncertainty import CovarianceInflation
 
 BODY = SkeletonModel.default()
@@ -199,23 +197,6 @@ def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:
     assert "repetitions" not in notes
 
 
-def test_figure_panels_have_units_and_mark_unobserved_angles(analysis: MotionAnalysis) -> None:
-    for figure, label in ((gait_cycles(analysis), "[%]"), (angles_over_time(analysis), "[s]")):
-        FigureCanvasAgg(figure)
-        figure.draw_without_rendering()
-        assert [ax.get_title(loc="left") for ax in figure.axes] == [n.replace("_", " ") for n in SHOWN]
-        assert all(ax.get_ylabel() == "[deg]" and ax.lines for ax in figure.axes)
-        assert all(label in ax.get_xlabel() for ax in figure.axes[-3:])
-        for ax in figure.axes:
-            if (legend := ax.get_legend()) is not None:
-                assert not legend.get_window_extent().overlaps(ax.get_window_extent().padded(-1))
-    observed = tuple(curve for curve in analysis.curves if not curve.name.endswith("ankle_dorsiflexion"))
-    blind = analyse(planted.standing(BODY, 30))
-    for figure in (angles_over_time(blind), gait_cycles(replace(analysis, curves=observed))):
-        ankle = figure.axes[SHOWN.index("ankle_dorsiflexion")]
-        assert [text.get_text() for text in ankle.texts] == ["not observed"]
-
-
 def test_height_without_weight_and_unknown_repetitions_are_rejected() -> None:
     with pytest.raises(InvalidInputError, match="need a weight"):
         analyse(walk(), height=1.8)
@@ -253,7 +234,6 @@ def test_an_unobserved_motion_has_no_values(tmp_path: Path) -> None:
     assert any("right foot: never observed" in note for note in analysis.gait.notes)
     assert analysis.torques is not None
     assert np.isnan(analysis.torques.root_wrench).all()
-    angles_over_time(analysis)
 
 
 def test_command_writes_the_folder_and_prints_tables(
@@ -265,8 +245,7 @@ def test_command_writes_the_folder_and_prints_tables(
     for part in ("right_knee_flexion", "cadence [steps/min]", "torques of the legs in", "m forward, without"):
         assert part in text
     assert MANIFEST in {path.name for path in out.iterdir()}
-    for name in ("angles.png", "gait_cycles.png", "ground_reaction.png"):
-        assert (out / "figures" / name).read_bytes().startswith(b"\x89PNG")
+    assert (out / "figures" / "ground_reaction.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -279,7 +258,6 @@ def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest
     assert "cadence [steps/min]" not in text
     gait = read(tmp_path / "out" / "gait.json")
     assert (gait["is_gait"], len(gait["strides"])) == (False, 2)
-    assert not (tmp_path / "out" / "figures" / "gait_cycles.png").exists()
 
 
 def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_file: Path, tmp_path: Path) -> None:

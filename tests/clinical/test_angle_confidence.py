@@ -22,7 +22,6 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reporting.analysis import angles_over_time
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -114,15 +113,11 @@ def test_negative_or_infinite_sigmas_are_rejected(value: float) -> None:
         )
 
 
-def test_files_and_figures_have_the_bands(tmp_path: Path) -> None:
+def test_files_have_the_bands(tmp_path: Path) -> None:
     analysis = analyse(with_covariance(motion(), np.radians(2.0) ** 2 * np.eye(3)))
     write_analysis(analysis, tmp_path)
     columns = read_csv(tmp_path / "angles.csv")
     assert columns["pelvis_tilt_sigma_deg"][3] == pytest.approx(2.0, rel=0.05)
-    figure = angles_over_time(analysis)
-    assert any(ax.collections for ax in figure.axes)
-    assert "95 %" in figure.get_suptitle()
-    assert not any(ax.collections for ax in angles_over_time(analyse(motion())).axes)
 
 
 def reliable(sigma: Array | None, hip: Array | None = None) -> tuple[NDArray[np.bool_], str]:
