@@ -25,7 +25,7 @@ print("stood still from {:.1f} to {:.1f} s".format(*found.still), *found.warning
 
 recording = Recording("walk", imus=imus_of_log(log.select(list(joints))), calibration=found.calibration)
 result = reconstruct(recording, mode="imu")
-export(result, out, formats=("csv", "mot"), figures=False)
+export(result, out, formats=("csv", "mot"))
 print(f"{len(result.motion.times)} frames of {len(joints)} sensors; OpenSim opens {out}")
 for warning in result.warnings:
     print("note:", warning)
