@@ -62,11 +62,9 @@ class Place:
 
 @contextmanager
 def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Place]:
-    """Make or reopen the folder of a batch, and keep other processes from the same shard.
-
-    Raises:
-        OutputExistsError: it holds other files or results of another source, or another process is at work.
-        WritingError: it cannot be written. InvalidInputError: a shard cannot overwrite.
+    """Make or reopen the folder of a batch, and keep other processes from the same shard. `OutputExistsError`: it holds
+    other files or results of another source, or another process is at work; `WritingError`: it cannot be written;
+    `InvalidInputError`: a shard cannot overwrite.
     """
     if overwrite and shard.count > 1:
         raise InvalidInputError("a shard does not overwrite what others may just have made; name a new folder")

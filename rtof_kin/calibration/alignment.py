@@ -109,18 +109,15 @@ def align_sensors(
     skeleton: SkeletonModel,
     refine: Refine | None = None,
 ) -> Alignment:
-    """Estimate heading and mounting of each sensor.
+    """Estimate heading and mounting of each sensor. `UnknownNameError`: an unknown sensor or segment;
+    `CalibrationError`: a sensor and the video have less than two seconds in common; `InvalidInputError`: a sensor has
+    neither orientation nor what it is estimated from.
 
     Args:
         log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
         refine: `calibrate_recording`, which takes about as long as the video; None: heading and mounting are those of
             the orientations alone.
-
-    Raises:
-        UnknownNameError: an unknown sensor or segment.
-        CalibrationError: a sensor and the video have less than two seconds in common.
-        InvalidInputError: a sensor has neither orientation nor what it is estimated from.
     """
     skeleton.check_joints(poses.names)
     segments = tuple(joints.values())

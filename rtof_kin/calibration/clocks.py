@@ -109,17 +109,14 @@ def find_clock(
 ) -> ClockEstimate:
     """Estimate the clock of a video relative to sensors.
 
-    A detector's delay counts as part of the offset, as nothing tells one from the other.
+    A detector's delay counts as part of the offset, as nothing tells one from the other. `UnknownNameError`: an unknown
+    sensor or segment; `CalibrationError`: no sensor moves, no person is seen for long enough, or no offset has an
+    overlap; `InvalidInputError`: a sensor has neither orientation nor what it is estimated from.
 
     Args:
         log: sensors on their own clock, at any rates; orientation is estimated where a stream has none.
         joints: sensor -> segment that carries it; other sensors are ignored. None: unknown, all are used.
         around, reach: offsets from around - reach to around + reach are searched, s.
-
-    Raises:
-        UnknownNameError: an unknown sensor or segment.
-        CalibrationError: no sensor moves, no person is seen for long enough, or no offset has an overlap.
-        InvalidInputError: a sensor has neither orientation nor what it is estimated from.
     """
     seen = velocities_in_image(poses, keypoints, skeleton)
     log = log if joints is None else log.select(list(joints))

@@ -79,11 +79,8 @@ class Human36M(Archives):
         return tuple((one, a) for one in by_number(self.all_positions) for a in sorted(self.all_positions[one]))
 
     def motion(self, subject: str, action: str) -> ActionMotion:
-        """Return the positions of an action and the subject's body.
-
-        Raises:
-            UnknownNameError: no such subject or action. FileFormatError: this action is corrupt.
-            UnitError: positions are not in metres.
+        """Return the positions of an action and the subject's body. `UnknownNameError`: no such subject or action;
+        `FileFormatError`: this action is corrupt; `UnitError`: positions are not in metres.
         """
         p = self.positions(subject, action)
         offsets = self._offsets_of(subject)
@@ -102,16 +99,14 @@ class Human36M(Archives):
     def recording(self, subject: str, action: str, camera: int) -> Recording:
         """Return an action seen by one camera, with the truth.
 
-        Orientations follow from the positions and the subject's offsets
-        (`kinematics.rotations_from_positions`). Where detected keypoints do not fit this sequence but fit
-        the subject's others with the same camera, `notes` says so: a known fault of a few sequences of S9.
+        Orientations follow from the positions and the subject's offsets (`kinematics.rotations_from_positions`). Where
+        detected keypoints do not fit this sequence but fit the subject's others with the same camera, `notes` says so:
+        a known fault of a few sequences of S9. `UnknownNameError`: no such subject, action or camera;
+        `FileFormatError`: a corrupt entry; `CalibrationError`: the cameras do not belong to the keypoints and
+        positions.
 
         Args:
             camera: 0 to 3, see `human36m_files.CAMERA_IDS`.
-
-        Raises:
-            UnknownNameError: no such subject, action or camera. FileFormatError: a corrupt entry.
-            CalibrationError: the cameras do not belong to the keypoints and positions.
         """
         cam, uv = self.camera(subject, camera), self.keypoints(subject, action, camera)
         motion = self.motion(subject, action)

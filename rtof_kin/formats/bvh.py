@@ -228,16 +228,14 @@ def write_bvh(
     order: str = "zxy",
     overwrite: bool = False,
 ) -> None:
-    """Write a motion that `read_bvh` reads back, in its own axes and length unit.
+    """Write a motion that `read_bvh` reads back, in its own axes and length unit. `InvalidInputError`: no such order, a
+    name with a line end or a brace, or a value that is not finite; `OutputExistsError`: the file exists and `overwrite`
+    is False; `RtofError`: it cannot be written.
 
     Args:
         motion: whole, or blocks of consecutive frames of one tree, at least one. frames: number of all in blocks.
         order: order of the rotation channels, the same for all joints, since some readers take the first joint's for
             all, and others always z x y.
-
-    Raises:
-        InvalidInputError: no such order, a name with a line end or a brace, or a value that is not finite.
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
     blocks = [motion] if isinstance(motion, ArticulatedMotion) else motion
     frames = len(motion) if isinstance(motion, ArticulatedMotion) else frames or 0

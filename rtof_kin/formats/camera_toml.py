@@ -57,16 +57,13 @@ class CameraOfTool(InputTable):
 
 
 def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float = 1.0) -> dict[str, Camera]:
-    """Read the cameras of a file by name, in its order, into a world with z up.
+    """Read the cameras of a file by name, in its order, into a world with z up. `FileFormatError`: no such file, no
+    camera in it, or an incomplete camera; names the field. `UnitError`: a camera is too far away for metres.
+    `InvalidInputError`: invalid `up` or `metres_per_unit`.
 
     Args:
         up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`.
         metres_per_unit: length of the file's unit, m; 0.001 for mm.
-
-    Raises:
-        FileFormatError: no such file, no camera in it, or an incomplete camera; names the field.
-        UnitError: a camera is too far away for metres.
-        InvalidInputError: invalid `up` or `metres_per_unit`.
     """
     data, inside = load_toml(path), ""
     if isinstance(data.get("cameras"), dict) and not _is_camera(data["cameras"]):
@@ -113,15 +110,12 @@ def camera_in_world(
     distortion: Array,
     assumed: tuple[str, ...] = (),
 ) -> Camera:
-    """Return a camera of a file in a world with z up, m.
+    """Return a camera of a file in a world with z up, m. `FileFormatError`: no camera has these numbers;
+    `UnitError`: it is more than `FURTHEST` from the origin; `InvalidInputError`: invalid `up` or `metres_per_unit`.
 
     Args:
         path, where: file and place in it, for errors. up, metres_per_unit: see `world_of_file`.
         pose: R_camera_file (3, 3) and t (3,) in the file's unit. distortion: OpenCV's first coefficients, at most 5.
-
-    Raises:
-        FileFormatError: no camera has these numbers. UnitError: it is more than `FURTHEST` from the origin.
-        InvalidInputError: invalid `up` or `metres_per_unit`.
     """
     R_world_file, t = world_of_file(up, metres_per_unit), pose[1] * metres_per_unit
     far = float(np.linalg.norm(t))

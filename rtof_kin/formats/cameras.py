@@ -57,7 +57,9 @@ def read_opencv_yaml(
     extrinsics: str | Path | None = None,
     size_px: tuple[int, int] | None = None,
 ) -> dict[str, Camera]:
-    """Read the cameras of a file by name, in its order, into a world with z up.
+    """Read the cameras of a file by name, in its order, into a world with z up. `FileFormatError`: no such file, no
+    camera in it, or an incomplete camera; names the entry. `UnitError`: a camera is too far away for metres.
+    `InvalidInputError`: invalid `up` or `metres_per_unit`.
 
     Args:
         path: the file; .yml, .yaml or .json.
@@ -66,11 +68,6 @@ def read_opencv_yaml(
         metres_per_unit: length of the file's unit, m; 0.001 for mm.
         extrinsics: a second file whose entries are added; OpenCV's stereo sample writes two.
         size_px: width and height of the images, for a file without them.
-
-    Raises:
-        FileFormatError: no such file, no camera in it, or an incomplete camera; names the entry.
-        UnitError: a camera is too far away for metres.
-        InvalidInputError: invalid `up` or `metres_per_unit`.
     """
     content = _load_yaml(Path(path))
     if extrinsics is not None:

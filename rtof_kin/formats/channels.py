@@ -112,17 +112,14 @@ class StreamChannels:
         types: Sequence[str] = (),
         declared: Mapping[str, Any] | None = None,
     ) -> StreamChannels:
-        """Return what the channels hold.
+        """Return what the channels hold. `InvalidInputError`: no sensor, an incomplete quantity, a channel twice, an
+        unknown unit, or sensors of different conventions; names stream and channel. `UnknownNameError`: an unknown
+        field or value of the declaration.
 
         Args:
             stream: its name; of the sensor too, where labels name none.
             labels, units, types: of each channel; units and types may be empty.
             declared: fields of `Declaration`; they replace what the stream states.
-
-        Raises:
-            InvalidInputError: no sensor, an incomplete quantity, a channel twice, an unknown unit, or sensors
-                of different conventions; names stream and channel.
-            UnknownNameError: an unknown field or value of the declaration.
         """
         declared = {k: v for k, v in (declared or {}).items() if v is not None}
         found, left = _by_quantity(stream, labels, types)

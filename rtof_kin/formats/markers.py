@@ -144,14 +144,12 @@ def _read_names(path: Path, cells: list[str], count: int) -> tuple[str, ...]:
 def write_trc(
     path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "y", unit: str = "m", overwrite: bool = False
 ) -> None:
-    """Write markers, which `read_trc` reads back to 1e-9 units, and OpenSim too.
+    """Write markers, which `read_trc` reads back to 1e-9 units, and OpenSim too. `OutputExistsError`: the file exists
+    and `overwrite` is False; `RtofError`: it cannot be written; `InvalidInputError`: unknown axis or unit, or a name
+    with a tab or a line end.
 
     Args:
         up: as for `read_trc`; y for OpenSim. unit: of lengths in the file, m, cm or mm.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
-        InvalidInputError: unknown axis or unit, or a name with a tab or a line end.
     """
     path, R_world_file = Path(path), _world_of_file(up)
     if unit not in METRES:
@@ -370,15 +368,12 @@ def write_c3d(
     zero_s: float = 0.0,
     overwrite: bool = False,
 ) -> None:
-    """Write points in mm, which `read_c3d` reads back to the format's 32 bits, in blocks.
+    """Write points in mm, which `read_c3d` reads back to the format's 32 bits, in blocks. `OutputExistsError`: the file
+    exists and `overwrite` is False; `InvalidInputError`: unknown axis, or times that are not whole frames of one rate;
+    `WritingError`: it cannot be written.
 
     Args:
         results: what the file has beside them. zero_s: time of the results at which the clock of `markers` shows 0.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False.
-        InvalidInputError: unknown axis, or times that are not whole frames of one rate.
-        WritingError: it cannot be written.
     """
     ezc3d = optional("ezc3d", "", "writing C3D", "pip install ezc3d, or conda install -c conda-forge ezc3d")
 

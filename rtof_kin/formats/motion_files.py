@@ -229,14 +229,12 @@ def write_motion_files(
     folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT, beside: Beside = _NOTHING
 ) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
+    `UnknownNameError`: no such format; `RtofError`: Parquet without pyarrow; `InvalidInputError`: a format needs even
+    times or an observed frame.
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
         motion: what is written, in blocks. formats: names in `FORMATS`. beside: what else some of them contain.
-
-    Raises:
-        UnknownNameError: no such format. RtofError: Parquet without pyarrow.
-        InvalidInputError: a format needs even times or an observed frame.
     """
     check_formats(formats)
     folder, source = Path(folder), MotionSource.of(motion)

@@ -150,7 +150,9 @@ def calibrate_by_pose(
     still: tuple[float, float] | None = None,
     headings: Literal["shared", "own"] = "shared",
 ) -> PoseCalibration:
-    """Calibrate sensors by a pose.
+    """Calibrate sensors by a pose. `UnknownNameError`: unknown sensor, segment, pose or axis; `CalibrationError`: the
+    sensors never rest, one has no orientation then, two sensors are on one segment, or the movement is too small for
+    headings.
 
     Args:
         imus: with orientation; sensors that `joints` does not name are ignored.
@@ -162,11 +164,6 @@ def calibrate_by_pose(
             with own headings or a measured pose it is the pose's (named ones face x).
         still: (start, stop) s of the pose; the first second without rotation if None.
         headings: 'shared': one reference for all sensors. 'own': one each, estimated from the movement.
-
-    Raises:
-        UnknownNameError: unknown sensor, segment, pose or axis.
-        CalibrationError: the sensors never rest, one has no orientation then, two sensors are on one
-            segment, or the movement is too small for headings.
     """
     if headings not in ("shared", "own"):
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])

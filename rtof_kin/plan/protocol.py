@@ -216,11 +216,9 @@ class Protocol:
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a protocol's TOML file; the folder of a motion is relative to it.
-
-        Raises:
-            FileFormatError: a field is missing, unknown, or of another type.
-            InvalidInputError: a value is not plausible. UnknownNameError: no such sensor or angle.
+        """Read a protocol's TOML file; the folder of a motion is relative to it. `FileFormatError`: a field is missing,
+        unknown, or of another type; `InvalidInputError`: a value is not plausible; `UnknownNameError`: no such sensor
+        or angle.
         """
         path = Path(path)
         top = ProtocolTable.read(path)

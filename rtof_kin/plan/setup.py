@@ -113,17 +113,15 @@ _LONGEST: Final = 30.0  #: [s] of a movement that are planned with
 def planned(
     what: str | Path, lifter: LifterLike | None = None, progress: Progress | None = None, subject: Subject | None = None
 ) -> tuple[Protocol, Setup]:
-    """Return the protocol and the setup of what a plan is asked for.
+    """Return the protocol and the setup of what a plan is asked for. `InvalidInputError`: no camera filmed the
+    recording, or it has no complete frame; `UnknownNameError`: there is no such movement; `FileFormatError`: a file
+    cannot be read.
 
     Args:
         what: a protocol's TOML file; the name of a movement of the library, recorded by a usual camera;
             the folder of a recording, or the output of `reconstruct`, planned as it was recorded.
         lifter, progress: as for `reconstruct`, for a recording.
         subject: file of the person, whose bones and height are planned with.
-
-    Raises:
-        InvalidInputError: no camera filmed the recording, or it has no complete frame.
-        UnknownNameError: there is no such movement. FileFormatError: a file cannot be read.
     """
     path = Path(what)
     if path.is_file() and path.suffix == ".toml" and path.name != INDEX:

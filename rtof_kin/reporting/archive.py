@@ -48,7 +48,8 @@ _SHORTEST: Final = 3  #: Letters of a name that is searched for
 def write_result_archive(
     path: str | Path, result: str | Path, recording: str | Path | None = None, overwrite: bool = False
 ) -> Path:
-    """Write a result and its recording to one ZIP archive.
+    """Write a result and its recording to one ZIP archive. `InvalidInputError`: the result does not say how it was
+    made, or the recording is another one; `OutputExistsError`: the file exists; `WritingError`: it cannot be written.
 
     Args:
         path: file to write.
@@ -58,10 +59,6 @@ def write_result_archive(
 
     Returns:
         The file.
-
-    Raises:
-        InvalidInputError: the result does not say how it was made, or the recording is another one.
-        OutputExistsError: the file exists. WritingError: it cannot be written.
     """
     check_new_file(path, overwrite)
     folder = motion_folder(result)

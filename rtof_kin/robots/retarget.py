@@ -136,15 +136,13 @@ class Retargeter:
     def __init__(
         self, skeleton: SkeletonModel, urdf: Path, map: str | None = None, floor: float | None = None, without: str = ""
     ):
-        """Read the robot; its meshes are not needed.
+        """Read the robot; its meshes are not needed. `MissingPackageError`: the extra robots is not installed;
+        `FileFormatError`: not a URDF of joints with one angle each; `UnknownNameError`: a link, joint or segment of the
+        map does not exist.
 
         Args:
             map: see `RobotMap.choose`. floor: height in the person's world, m; None: it is found on the way. without:
                 'contacts', 'contacts, limits' for comparisons with the usual inverse kinematics.
-
-        Raises:
-            MissingPackageError: the extra robots is not installed. FileFormatError: not a URDF of joints with one angle
-                each. UnknownNameError: a link, joint or segment of the map does not exist.
         """
         need, self.urdf = ("robots", "a robot's inverse kinematics"), urdf
         self._pink, self._solvers, _ = (optional(name, *need) for name in ("pink", "qpsolvers", "daqp"))

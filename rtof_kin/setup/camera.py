@@ -236,11 +236,8 @@ def rotation_of_video(
 
     `video`, `people`, `camera`, `sigma_focal`: as for `estimate_camera_motion`. `phone`: log of the gyroscope of the
     phone that filmed, and of its accelerometer, which gives the tilt. `progress`: called with ("camera", frames done,
-    in total).
-
-    Raises:
-        FileFormatError: a file cannot be read. InvalidInputError: the background has nothing to follow, or
-            the log no gyroscope. RtofError: the extra ``video`` is not installed.
+    in total). `FileFormatError`: a file cannot be read; `InvalidInputError`: the background has nothing to follow, or
+    the log no gyroscope; `RtofError`: the extra ``video`` is not installed.
     """
     found = estimate_camera_motion(video, people, camera, sigma_focal=sigma_focal, progress=progress)
     if phone is None:

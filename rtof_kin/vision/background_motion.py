@@ -187,16 +187,13 @@ def estimate_camera_motion(
     sigma_focal: float = 0.0,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> BackgroundMotion:
-    """Estimate the turning of a camera from its video.
+    """Estimate the turning of a camera from its video. `FileFormatError`: the video cannot be read; `RtofError`: OpenCV
+    is not installed; `InvalidInputError`: the camera is of another image size, or the background has nothing to follow.
 
     Args:
         people: detected in it, whose boxes are left out.
         sigma_focal: relative standard deviation of its focal length; 0 where it is known and is not refined.
         progress: called with ("camera", frames done, frames in total).
-
-    Raises:
-        FileFormatError: the video cannot be read. RtofError: OpenCV is not installed.
-        InvalidInputError: the camera is of another image size, or the background has nothing to follow.
     """
     boxes, follower, times = _boxes(people), None, list[float]()
     for frame in read_video(video):
