@@ -1,4 +1,4 @@
-# make demo: from a bare machine to the demo's numbers and figures. make test: everything CI checks.
+# make demo: from a bare machine to the demo's numbers. make test: everything CI checks.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
