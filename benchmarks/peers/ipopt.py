@@ -18,8 +18,8 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
 from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.state import Limits
-from rtof_kin.solve.joint_space.stencils import LAGS
 
 _UNIT: Final = 1e-3  #: m and rad of IPOPT's variables
 _GRADIENT: Final = 100.0  #: Largest remaining derivative of the energy by a variable, in tolerances

@@ -120,8 +120,8 @@ class JointScene:
     def _frame(self) -> Window:
         energy = self.problem.energy
         x, z = ca.SX.sym("x", 3 + 4 * len(self.space.joints)), ca.SX.sym("z", self.space.size)
-        O = symbols(**{name: v.shape for name, v in energy.observation.items()})
-        C = symbols(**{name: v.shape for name, v in energy.constant.items()})
+        O = symbols(**energy.observation)
+        C = symbols(**energy.constant)
         p_root, quats = self._moved(x, z)
         p, q = self._posed(p_root, quats, C["offsets"])
         rows = []
@@ -161,7 +161,7 @@ class JointScene:
         sensors = energy["orientation"].sensors
         S, robust = len(sensors), self.settings.robust_acceleration
         x, z = ca.SX.sym("x", 3 + 4 * A, 3), ca.SX.sym("z", self.space.size, 3)
-        P = symbols(a_world=(3, S), w=(S, 1), rate_hz=(1, 1), offsets=energy.constant["offsets"].shape, levers=(3, S))
+        P = symbols(a_world=(3, S), w=(S, 1), rate_hz=(1, 1), offsets=energy.constant["offsets"], levers=(3, S))
         frames = [self._posed(*self._moved(x[:, t], z[:, t]), P["offsets"]) for t in range(3)]
         rows = []
         for s, j in enumerate(sensors):

@@ -33,8 +33,8 @@ class CalibrationObservations(Sampled):
     """Observations of T frames and constants; see `Observations`."""
 
     times: Array  # (T,) stamps of the video, s
-    rows: Mapping[str, Array]  # Name -> (T, ...), with the names of `FrameEnergy.observation`
-    constant: Mapping[str, Array]  # Name -> value, with the names of `FrameEnergy.constant`
+    rows: Mapping[str, Array]  # Name -> (T, ...), with the names of `FrameLayout.observation`
+    constant: Mapping[str, Array]  # Name -> value, with the names of `FrameLayout.constant`
     a_world: Array  # (T, S, 3) acceleration of the sensors, m/s^2
     w_acceleration: Array  # (T, S) 1 / sigma^2 of each
     length_scale: float = 1.0  # [1] Factor on the body's size

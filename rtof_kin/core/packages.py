@@ -28,6 +28,20 @@ def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -
         raise MissingPackageError(said) from error
 
 
+class on_use:  # reads as an adverb of an import
+    """A module that is imported when something of it is used for the first time."""
+
+    def __init__(self, name: str) -> None:
+        """Take the module's name."""
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._name), name)
+
+
+casadi: Any = on_use("casadi")  #: A compiled energy does not need it
+
+
 def install(extra: str) -> str:
     """Return the command that installs an extra of this package."""
     return f'pip install "rtof-kin[{extra}]"'

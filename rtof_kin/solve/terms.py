@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-import casadi as ca
 import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.packages import casadi as ca
 
 if TYPE_CHECKING:
     from rtof_kin.solve.joint_space.energy import Frame

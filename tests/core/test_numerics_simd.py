@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.numerics import c_compiler as module
 from rtof_kin.core.numerics import simd
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
-from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
+from rtof_kin.core.numerics.simd import GROUP, Columns, FrameFunction, Mapped, Over, compile_simd
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.skipif(not any(map(shutil.which, module.COMPILERS)), reason="there is no C compiler")
@@ -72,7 +72,7 @@ def everything() -> FrameFunction:
         b,
     ]
     outputs = [ca.densify(ca.vertcat(*numbers)), ca.densify(x * s[1])]
-    return FrameFunction(ca.Function("everything", [x, s], outputs), (1,))
+    return FrameFunction.of(ca.Function("everything", [x, s], outputs), (1,))
 
 
 def inputs(frames: int, size: int, seed: int = 0) -> Array:
@@ -89,9 +89,12 @@ def one_by_one(function: Any, x: Array, *shared: Array) -> list[Array]:
 
 
 def code_of(*given: FrameFunction) -> dict[str, Any]:
-    code = compile_simd(given)
-    assert code
-    return code
+    made = compile_simd(lambda: (given, None))
+    assert made is not None
+    assert {name: replace(g, expression=None) for name, g in made.functions.items()} == {
+        g.name: replace(g, expression=None) for g in given
+    }
+    return made.code
 
 
 @pytest.mark.usefixtures("vectors")
@@ -102,13 +105,13 @@ def test_every_operation_equals_the_interpreter() -> None:
         x = inputs(frames, 4, frames)
         mapped = Mapped(of, given, frames)
         for _ in range(2):
-            for own, expected in zip(mapped(x, shared), one_by_one(given.function, x, shared), strict=True):
+            for own, expected in zip(mapped(x, shared), one_by_one(given.expression, x, shared), strict=True):
                 np.testing.assert_allclose(own, expected, rtol=1e-13, atol=1e-13)
 
 
 def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
-    given = FrameFunction(ca.Function("between", [x, y], [y - x]))
+    given = FrameFunction.of(ca.Function("between", [x, y], [y - x]))
     columns = Columns(10)
     rows = np.random.default_rng(0).normal(size=(10, 2))
     here, out = columns.given(rows), columns.zeros(2)
@@ -124,7 +127,7 @@ def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
 def test_placed_output_is_scattered_in_every_frame() -> None:
     x = ca.SX.sym("x", 3)
     numbers = ca.vertcat(*(x[i % 3] * (i + 1) for i in range(3 * GROUP)))
-    given = FrameFunction(ca.Function("placed", [x], [ca.sum1(x), numbers]), placed=True)
+    given = FrameFunction.of(ca.Function("placed", [x], [ca.sum1(x), numbers]), placed=True)
     columns, rows = Columns(13), np.random.default_rng(0).normal(size=(13, 3))
     places, expected = np.array([40, 3, 21]), np.full((13, 60), -1.0)
     all_numbers = rows[:, np.arange(3 * GROUP) % 3] * np.arange(1, 3 * GROUP + 1)
@@ -144,7 +147,7 @@ def zeros(rows: int, frames: int = 9) -> Array:
 def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = everything()
     code_of(given)
-    code_of(FrameFunction(given.function, ()))
+    code_of(FrameFunction.of(given.expression))
     assert len(list(cache.glob("*.so"))) == 2
     monkeypatch.setattr(shutil, "which", lambda name: None)
     assert set(code_of(given)) == {"everything"}
@@ -160,7 +163,7 @@ def test_functions_that_cannot_be_compiled_have_no_code(
     elif reason == "environment":
         monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     else:
-        given = FrameFunction(ca.Function("curve", [x], [ca.erf(x)]))
-    assert compile_simd([given]) == {}
+        given = FrameFunction.of(ca.Function("curve", [x], [ca.erf(x)]))
+    assert compile_simd(lambda: ([given], None)) is None
     assert ("it is interpreted, which is slower" in caplog.text) == (reason != "environment")
     assert ("curve: no C is known for CasADi's operation" in caplog.text) == (reason == "operation")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -15,10 +17,11 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics import c_compiler, simd
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
-from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, _made_of, built_energy
+from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.joint_space.terms import BUILT_IN, jerk_sigma
 from rtof_kin.solve.settings import JointSpaceSettings
+from rtof_kin.solve.terms import MotionTerm, PointTerm, position
 
 Array = NDArray[np.float64]
 N = 8
@@ -140,8 +143,8 @@ def test_retraction_equals_the_state_spaces(compile: str) -> None:
 def outputs(fragment: Fragment, changed: dict[str, Array]) -> list[Array]:
     """Those of `FrameEnergy.full` in the first frame, with other observations."""
     energy, O, C = fragment.built.energy, js.one_frame(fragment.data, 0).observation | changed, fragment.data.constant
-    rows = np.concatenate([O[name].ravel() for name in energy.observation])
-    constant = np.concatenate([np.ravel(C[name], order="F") for name in energy.constant])
+    rows = np.concatenate([O[name].ravel() for name in energy.layout.observation])
+    constant = np.concatenate([np.ravel(C[name], order="F") for name in energy.layout.constant])
     return [np.array(v).squeeze() for v in energy.full.call([fragment.x[0], rows, constant])]
 
 
@@ -242,6 +245,38 @@ def test_an_energy_is_built_once_and_interpreted_without_a_compiler(monkeypatch:
     one, two = (built_energy(js.BODY.name, terms, js.MOVING, n, True, "auto", sigma) for n in (8, 10))
     assert one.energy is two.energy
     assert not one._functions.code
+
+
+OF_ITS_OWN = """
+import sys
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.solve.joint_space.fragment import FragmentFunctions
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.joint_space.terms import Acceleration, Root, Visual
+space = StateSpace(SkeletonModel.default(), ("RightUpLeg", "RightLeg"), True)
+terms = (Visual(((0, True),)), Root(), Acceleration((1,), 3.0))
+made = FragmentFunctions.of(space, terms)
+print(made.layout, made.groups["coupled"].tolist(), *made.code)
+print([vars(function) | {"expression": None} for function in made.frames.values()])
+print("casadi" in sys.modules, file=sys.stderr)
+"""
+
+
+@pytest.mark.usefixtures("compile_cache")
+def test_an_energy_that_was_compiled_is_loaded_without_casadi() -> None:
+    runs = [subprocess.run([sys.executable, "-c", OF_ITS_OWN], capture_output=True, text=True) for _ in range(2)]
+    assert [run.stderr.split()[-1] for run in runs] == ["True", "False"]
+    assert runs[0].stdout == runs[1].stdout != ""
+
+
+def test_energies_of_other_terms_bodies_and_functions_from_outside_are_told_apart() -> None:
+    space = js.built("bare").space
+    ball, terms = StateSpace(js.BODY, js.MOVING, False), js.built("bare").shape.terms(space)
+    own = (*terms, MotionTerm("m", "Hips", 1))
+    texts = [_made_of(space, terms), _made_of(ball, terms), _made_of(space, terms[1:]), _made_of(space, own)]
+    assert len({*texts}) == 4
+    assert all(texts)
+    assert _made_of(space, (*terms, PointTerm("p", "Hips", position, 3))) == ""
 
 
 def test_sigma_of_the_jerk_is_the_priors_times_a_factor() -> None:

@@ -238,13 +238,14 @@ def sigma_jerk(space: StateSpace) -> Array:
 
 @cache
 def functions(kind: str, compile: Compile) -> FragmentFunctions:
-    return FragmentFunctions.of(built(kind).energy, compile)
+    b = built(kind)
+    return FragmentFunctions.of(b.space, b.shape.terms(b.space), compile)
 
 
 def problem(kind: str, frames: int, compile: Compile = "never") -> FragmentEnergy:
     """A fragment's problem."""
     b = built(kind)
-    return FragmentEnergy(functions(kind, compile), b.energy, frames, sigma_jerk(b.space))
+    return FragmentEnergy(functions(kind, compile), frames, sigma_jerk(b.space))
 
 
 def poses(b: Built, x: Array) -> tuple[Array, Array]:

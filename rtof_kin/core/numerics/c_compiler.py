@@ -20,12 +20,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 from filelock import FileLock, Timeout
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.environment import processor
+from rtof_kin.core.environment import package_version, processor
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.manifest import make_folders
@@ -78,7 +77,7 @@ def _loaded(
 ) -> Built:
     """Return the contents of a library, compiled if it is missing or cannot be loaded."""
     kind = processor() if options else ""
-    system = f"{ca.CasadiMeta.version()} {platform.system()} {platform.machine()} {kind}"
+    system = f"{package_version('casadi')} {platform.system()} {platform.machine()} {kind}"
     identity = hashlib.sha256(f"{system} {_OPTIONS} {options} {made_of}".encode()).hexdigest()
     folder = cache_folder().absolute()
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)

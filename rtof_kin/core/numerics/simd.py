@@ -8,10 +8,12 @@ column; the array of the next frame is the same array shifted by one column.
 from __future__ import annotations
 
 import ctypes
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +21,38 @@ from numpy.typing import NDArray
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics.c_compiler import Buffered, built, native
-from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction, c_name, identity, source
 
 Index = NDArray[np.int64]
 _OPTIONS = ("-O1", "-fexpensive-optimizations", "-fno-math-errno")
 """The second avoids slow transitions between vector instruction sets with GCC."""
+GROUP = 8  #: Numbers of a placed output that are stored together; the longest vector
+
+
+@dataclass(frozen=True)
+class FrameFunction:
+    """A function of one frame, to be evaluated for many."""
+
+    name: str
+    inputs: tuple[int, ...]  #: Numbers of each input
+    outputs: tuple[int, ...]  #: Numbers of each output
+    shared: tuple[int, ...] = ()  #: Indices of inputs that are the same for all frames
+    placed: bool = False  #: True if the last output is scattered in groups of `GROUP` numbers
+    expression: Any = None  #: CasADi SX function with dense inputs and outputs; None where it was compiled earlier
+
+    @classmethod
+    def of(cls, expression: Any, shared: tuple[int, ...] = (), placed: bool = False) -> Self:
+        """Return that of an expression."""
+        inputs = tuple(map(expression.nnz_in, range(expression.n_in())))
+        outputs = tuple(map(expression.nnz_out, range(expression.n_out())))
+        return cls(expression.name(), inputs, outputs, shared, placed, expression)
+
+
+class Compiled(NamedTuple):
+    """Functions with their code."""
+
+    functions: dict[str, FrameFunction]  #: By name
+    code: dict[str, Any]  #: By name
+    remarks: Any  #: What was kept with them
 
 
 class Over:
@@ -48,24 +77,24 @@ class Over:
             places: (groups,) of a placed output (frames, k): column of each group in the row of a frame; rows may
                 overlap.
         """
-        f, ins, outs = given.function, list(inputs), list(outputs)
-        if len(ins) != f.n_in() or len(outs) != f.n_out():
-            raise ShapeError(f"{f.name()}: give {f.n_in()} inputs and {f.n_out()} outputs")
+        ins, outs = list(inputs), list(outputs)
+        if len(ins) != len(given.inputs) or len(outs) != len(given.outputs):
+            raise ShapeError(f"{given.name}: give {len(given.inputs)} inputs and {len(given.outputs)} outputs")
         columns = [a for i, a in enumerate(ins) if i not in given.shared]
         columns += outs[:-1] if given.placed else outs
         width = columns[0].strides[0]
         for i, array in enumerate(ins):
-            shape = (f.nnz_in(i),) if i in given.shared else (f.nnz_in(i), whole(frames))
-            _check(f"{f.name()} input {i}", array, shape, width)
+            shape = (given.inputs[i],) if i in given.shared else (given.inputs[i], whole(frames))
+            _check(f"{given.name} input {i}", array, shape, width)
         for i, array in enumerate(outs):
             if given.placed and i == len(outs) - 1:
                 groups = () if places is None else places
                 least = int(np.max(groups, initial=0)) + GROUP
-                _check(f"{f.name()} output {i}", array, (frames, least), array.strides[0])
-                if len(groups) * GROUP != f.nnz_out(i) or np.min(groups, initial=0) < 0:
-                    raise ShapeError(f"{f.name()} output {i}: give a place for each group of {GROUP} numbers")
+                _check(f"{given.name} output {i}", array, (frames, least), array.strides[0])
+                if len(groups) * GROUP != given.outputs[i] or np.min(groups, initial=0) < 0:
+                    raise ShapeError(f"{given.name} output {i}: give a place for each group of {GROUP} numbers")
             else:
-                _check(f"{f.name()} output {i}", array, (f.nnz_out(i), whole(frames)), width)
+                _check(f"{given.name} output {i}", array, (given.outputs[i], whole(frames)), width)
         place = np.zeros(0, np.int64) if places is None else np.array(places, dtype=np.int64)
         if code is None:
             self._run: Callable[[], None] = _Interpreted(given, frames, ins, outs, place)
@@ -88,7 +117,7 @@ class _Interpreted:
     def __init__(
         self, given: FrameFunction, frames: int, inputs: list[Array], outputs: list[Array], places: Index
     ) -> None:
-        f = given.function
+        f = given.expression
         self._mapped = Buffered(f.map(f"{f.name()}_{frames}", "serial", frames, list(given.shared), []))
         self._pairs = [
             (own if i in given.shared else own.reshape(frames, -1).T, array if i in given.shared else array[:, :frames])
@@ -148,12 +177,12 @@ class Mapped:
     """A function from arrays (N, n) to arrays (N, n)."""
 
     def __init__(self, code: Any, given: FrameFunction, frames: int) -> None:
-        f, self._columns = given.function, Columns(frames)
+        self._columns = Columns(frames)
         zeros, at = self._columns.zeros, self._columns.at
-        self._outputs = [zeros(f.nnz_out(i)) for i in range(f.n_out())]
+        self._outputs = [zeros(count) for count in given.outputs]
         inputs, self._targets = list[Array](), list[Array]()
-        for i in range(f.n_in()):
-            own = np.zeros(f.nnz_in(i)) if i in given.shared else zeros(f.nnz_in(i))
+        for i, count in enumerate(given.inputs):
+            own = np.zeros(count) if i in given.shared else zeros(count)
             inputs.append(own if i in given.shared else at(own))
             self._targets.append(own if i in given.shared else own[:, self._columns.inside].T)
         self._over = Over(code, given, frames, inputs, [at(a) for a in self._outputs])
@@ -171,18 +200,40 @@ def whole(frames: int) -> int:
     return -(-frames // GROUP) * GROUP
 
 
-def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any]:
-    """Compile functions together, or load them from the cache, by name; none if impossible, see `c_compiler.built`."""
+def c_name(name: str) -> str:
+    """Return the name of a function in C."""
+    return f"over_frames_{name}"
 
-    def loaded(library: Path) -> dict[str, Any]:
+
+def compile_simd(build: Callable[[], tuple[Sequence[FrameFunction], Any]], made_of: str = "") -> Compiled | None:
+    """Compile functions together, or load them from the cache; None if impossible, see `c_compiler.built`.
+
+    Args:
+        build: functions, and what is kept with them: strings, numbers, lists and dictionaries.
+        made_of: identifies what `build` makes, which then is not called where it was compiled before.
+    """
+
+    def text() -> str:
+        from rtof_kin.core.numerics.simd_codegen import source  # needs CasADi
+
+        functions, remarks = build()
+        described = [(g.name, g.inputs, g.outputs, g.shared, g.placed) for g in functions]
+        return f"{source(functions)}\nconst char *const described = {json.dumps(json.dumps([described, remarks]))};\n"
+
+    def loaded(library: Path) -> Compiled:
         opened = ctypes.CDLL(str(library))
         try:
-            return {g.function.name(): getattr(opened, c_name(g)) for g in functions}
-        except AttributeError as error:
+            described, remarks = json.loads(ctypes.c_char_p.in_dll(opened, "described").value or b"")
+            found = [FrameFunction(g[0], tuple(g[1]), tuple(g[2]), tuple(g[3]), g[4]) for g in described]
+            return Compiled({g.name: g for g in found}, {g.name: opened[c_name(g.name)] for g in found}, remarks)
+        except (AttributeError, ValueError) as error:
             raise OSError(f"{library.name}: {error}") from error
 
-    text = partial(source, functions)
-    return built(identity(functions), text, loaded, (*_OPTIONS, *native())) or {}
+    if not made_of:
+        from rtof_kin.core.numerics.simd_codegen import identity
+
+        made_of = identity(build()[0])
+    return built(made_of, text, loaded, (*_OPTIONS, *native()))
 
 
 def _check(name: str, array: Array, shape: tuple[int, ...], width: int) -> None:

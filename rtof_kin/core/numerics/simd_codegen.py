@@ -7,13 +7,12 @@ vectors; inputs and constants are read again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 
-GROUP = 8  #: Numbers of a placed output that are stored together; the longest vector
+from rtof_kin.core.numerics.simd import GROUP, FrameFunction, c_name
+
 _PIECE = 150  #: Instructions per C function; compilation time grows faster than linearly with it
 _OPERATIONS = {
     ca.OP_ASSIGN: "{0}",
@@ -63,28 +62,14 @@ void {name}(const double *const *in, double *const *out, const long long *place,
 _PIECE_OF = "static __attribute__((noinline)) void {name}(const Now *now, V *w) {{\n{body}\n}}"
 
 
-@dataclass(frozen=True)
-class FrameFunction:
-    """A function of one frame, to be evaluated for many."""
-
-    function: Any  #: CasADi SX function with dense inputs and outputs
-    shared: tuple[int, ...] = ()  #: Indices of inputs that are the same for all frames
-    placed: bool = False  #: True if the last output is scattered in groups of `GROUP` numbers
-
-
 def source(functions: Sequence[FrameFunction]) -> str:
     """Return the C source of functions over frames, named by `c_name`."""
     return "\n".join([_HEAD, *(_Writer(given).text() for given in functions)])
 
 
-def c_name(given: FrameFunction) -> str:
-    """Return the name of a function in C."""
-    return f"over_frames_{given.function.name()}"
-
-
 def identity(functions: Sequence[FrameFunction]) -> str:
     """Return text that identifies the source of functions. functions: as for `source`."""
-    made_of = "".join(f"{g.function.serialize()} {g.shared} {g.placed}" for g in functions)
+    made_of = "".join(f"{g.expression.serialize()} {g.shared} {g.placed}" for g in functions)
     return f"{_HEAD} {_DRIVER} {_PIECE} {_OPERATIONS} {made_of}"
 
 
@@ -92,7 +77,7 @@ class _Writer:
     """Writer of one function, piece by piece."""
 
     def __init__(self, given: FrameFunction) -> None:
-        self._given, self._function = given, given.function
+        self._given, self._function = given, given.expression
         self._lines: list[str] = []
         self._used: list[list[int]] = []
         self._again: set[int] = set()
@@ -140,7 +125,7 @@ class _Writer:
 
     def text(self) -> str:
         """Return the C source; values that a later piece needs are kept in free places of w."""
-        name, count = c_name(self._given), len(self._lines)
+        name, count = c_name(self._given.name), len(self._lines)
         last = {value: k // _PIECE for k, used in enumerate(self._used) for value in used}
         slots, free, place = 0, list[int](), dict[int, int]()
         ending: dict[int, list[int]] = {}

@@ -16,12 +16,12 @@ from functools import lru_cache
 from itertools import combinations
 from typing import Any, Final
 
-import casadi as ca
 import numpy as np
 
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import BUILDING
+from rtof_kin.core.packages import casadi as ca
 from rtof_kin.solve import terms as energies
 from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.terms import PointTerm

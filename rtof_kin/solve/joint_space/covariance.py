@@ -35,9 +35,9 @@ from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import StateSpace
-from rtof_kin.solve.joint_space.stencils import LAGS
 
 _DAMPING: Final = 1e-6  #: Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km
 _NOWHERE: Final = 3.0  #: [m] Standard deviation above which a position counts as unknown

@@ -16,10 +16,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-import casadi as ca
-import numpy as np
-
+from rtof_kin.core.packages import casadi as ca
 from rtof_kin.solve import terms as residuals
+from rtof_kin.solve.joint_space.layout import FrameLayout
 from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.terms import DIFFERENCES, Loss, Term
 
@@ -210,9 +209,7 @@ class FrameEnergy:
     """CasADi functions of one frame, of D tangent coordinates, L landmarks and P points of paths.
 
     Attributes:
-        terms: the terms. names: of the energies of a frame. paths: points whose derivatives are measured.
-        observation, constant: name -> symbol, in the order in which the functions have them. rows: name -> rows of the
-            observation.
+        layout: terms, energies, and what is bound. paths: points whose derivatives are measured.
         full: (state, observation, constant) -> energies, gradient (D), Hessian (D, D, lower part), positions of the
             paths' points (3P), their Jacobian (3P, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, positions of the points, reprojection residuals. gradient: the same inputs
@@ -220,12 +217,10 @@ class FrameEnergy:
     """
 
     def __init__(self, space: StateSpace, terms: tuple[Term, ...]) -> None:
-        self.space, self.terms, frame = space, terms, Frame(space, terms)
-        self.observation, self.constant, self.paths = frame.O, frame.C, tuple(frame.paths)
-        self.names = tuple(frame.energies)
-        self.constant_errors = sum((term.constant_errors for term in terms), ())
-        stops = np.cumsum([symbol.numel() for symbol in frame.O.values()]).tolist()
-        self.rows = dict(zip(frame.O, map(slice, [0, *stops], stops), strict=False))
+        self.space, frame = space, Frame(space, terms)
+        self.paths = tuple(frame.paths)
+        shapes = ({name: v.shape for name, v in symbols.items()} for symbols in (frame.O, frame.C))
+        self.layout = FrameLayout.of(terms, frame.energies, [path.term for path in self.paths], *shapes)
         inputs = [ca.vertcat(frame.p_root, ca.vec(frame.quats)), _stacked(frame.O), _stacked(frame.C)]
         gradient, hessian = frame.composed()
         points = ca.vertcat(*(path.point for path in self.paths)) if self.paths else ca.SX(0, 1)
@@ -234,16 +229,6 @@ class FrameEnergy:
         self.full = _function("full", inputs, [energy, gradient, hessian, points, frame.path_jacobian(), seen])
         self.value = _function("value", inputs, [energy, points, seen])
         self.gradient = _function("gradient", [*inputs, force], [frame.composed(force)[0]])
-
-    def __getitem__(self, name: str) -> Any:
-        """Return a term by its name."""
-        return next(term for term in self.terms if term.name == name)
-
-
-def camera_names(which: int) -> tuple[str, str, str]:
-    """Return the names of a camera's constants, 0 for the first: intrinsic matrix, rotation and translation."""
-    end = f"_{which}" if which else ""
-    return f"K{end}", f"R_camera_world{end}", f"t_camera_world{end}"
 
 
 def _symbols(shapes: Iterable[tuple[str, tuple[int, ...]]]) -> dict[str, Any]:

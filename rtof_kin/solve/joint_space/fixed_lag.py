@@ -26,9 +26,9 @@ from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
 from rtof_kin.solve.joint_space.annealing import CameraErrors
 from rtof_kin.solve.joint_space.fragment import MEMORY, FragmentData, FragmentEnergy, MarginalPrior
+from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import Limits
-from rtof_kin.solve.joint_space.stencils import LAGS
 
 
 def marginalised(

@@ -18,7 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from hashlib import sha256
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -27,15 +29,13 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
+from rtof_kin.core.numerics import simd
 from rtof_kin.core.numerics.banded import Factor, Store
 from rtof_kin.core.numerics.c_compiler import BUILDING
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
-from rtof_kin.core.numerics.simd_codegen import FrameFunction
-from rtof_kin.solve.joint_space import stencils
-from rtof_kin.solve.joint_space.energy import FrameEnergy
+from rtof_kin.core.numerics.simd import Columns, Compiled, FrameFunction, Mapped, Over, compile_simd
+from rtof_kin.solve.joint_space.layout import LAGS, FrameLayout
 from rtof_kin.solve.joint_space.state import StateSpace
-from rtof_kin.solve.joint_space.stencils import LAGS, HessianColumns
-from rtof_kin.solve.terms import Term
+from rtof_kin.solve.terms import PointTerm, Term
 
 MEMORY: Final = LAGS - 1  #: Frames that a marginalised frame leaves a prior on
 BEYOND: Final = 2  #: Rows below the third block's diagonal that the axes of a joint reach
@@ -45,8 +45,8 @@ BEYOND: Final = 2  #: Rows below the third block's diagonal that the axes of a j
 class FragmentData:
     """Observations of a fragment of N frames; weights are 0 where there are none."""
 
-    observation: dict[str, Array]  #: Name -> (N, ...), with the names of `FrameEnergy.observation`
-    constant: dict[str, Array]  #: Name -> value, with the names of `FrameEnergy.constant`
+    observation: dict[str, Array]  #: Name -> (N, ...), with the names of `FrameLayout.observation`
+    constant: dict[str, Array]  #: Name -> value, with the names of `FrameLayout.constant`
     a_world: Array
     """(N - 2, P, 3) measured derivatives of the paths' points: accelerations of the sensors, m/s^2, first."""
     w_acceleration: Array  #: (N - 2, P) 1 / sigma^2 of each; of accelerations s^4/m^2
@@ -59,26 +59,62 @@ class FragmentData:
 class FragmentFunctions:
     """Functions of a frame that a `FragmentEnergy` calls, and their compiled code."""
 
+    space: StateSpace
+    layout: FrameLayout
     frames: Mapping[str, FrameFunction]
-    linear: HessianColumns
-    coupled: HessianColumns
+    groups: Mapping[str, Index]  #: Name of a function that writes the Hessian -> where (`stencils.HessianColumns`)
     code: Mapping[str, Any]  #: Name of the function -> code; empty where they are interpreted
 
     @classmethod
-    def of(cls, energy: FrameEnergy, compile: Compile = "auto") -> FragmentFunctions:
-        """Return the functions of an energy, compiled where possible."""
-        space = energy.space
-        simple = [
-            stencils.retract(space),
-            FrameFunction(energy.value, (2,)),
-            stencils.step(space),
-            stencils.inverse(space),
-            stencils.motion(energy),
-            stencils.pulled(energy),
-        ]
-        linear, coupled = stencils.linear(energy), stencils.coupled(energy)
-        code = compile_simd([*simple, linear.frame, coupled.frame]) if compile == "auto" else {}
-        return cls({given.function.name(): given for given in simple}, linear, coupled, code)
+    def of(cls, space: StateSpace, terms: tuple[Term, ...], compile: Compile = "auto") -> FragmentFunctions:
+        """Return the functions of an energy, compiled where possible. Their expressions are not built where the same
+        ones were compiled before.
+        """
+        build = partial(_expressions, space, terms)
+        found = compile_simd(build, _made_of(space, terms)) if compile == "auto" else None
+        if found is None:
+            functions, remarks = build()
+            found = Compiled({given.name: given for given in functions}, {}, remarks)
+        groups = {name: np.array(at).reshape(-1, 2) for name, at in found.remarks["groups"].items()}
+        return cls(space, FrameLayout.of(terms, *found.remarks["layout"]), found.functions, groups, found.code)
+
+
+@cache
+def _expressions(space: StateSpace, terms: tuple[Term, ...]) -> tuple[list[FrameFunction], dict[str, Any]]:
+    """The functions of a frame, and what a `FragmentFunctions` has beside them."""
+    from rtof_kin.solve.joint_space import stencils
+    from rtof_kin.solve.joint_space.energy import FrameEnergy
+
+    energy = FrameEnergy(space, terms)
+    hessian = stencils.linear(energy), stencils.coupled(energy)
+    functions = [
+        stencils.retract(space),
+        FrameFunction.of(energy.value, (2,)),
+        stencils.step(space),
+        stencils.inverse(space),
+        stencils.motion(energy),
+        stencils.pulled(energy),
+        *(columns.frame for columns in hessian),
+    ]
+    layout, groups = energy.layout, {columns.frame.name: columns.groups.tolist() for columns in hessian}
+    return functions, {"layout": [layout.names, layout.paths, layout.observation, layout.constant], "groups": groups}
+
+
+def _made_of(space: StateSpace, terms: tuple[Term, ...]) -> str:
+    """What identifies the expressions of an energy; nothing where a term is from outside, whose source may change."""
+    if any(isinstance(term, PointTerm) or not type(term).__module__.startswith("rtof_kin.") for term in terms):
+        return ""
+    body = space.skeleton
+    return f"{_sources()} {body.names} {body.parents} {space.joints} {space.hinge_axis.tolist()} {terms}"
+
+
+@cache
+def _sources() -> str:
+    """SHA-256 of the files that expressions and code are made by."""
+    folders, digest = (Path(__file__).parents[1], Path(simd.__file__).parent), sha256()
+    for path in sorted(path for folder in folders for path in folder.rglob("*.[pyhc]*") if path.suffix != ".pyc"):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -122,28 +158,28 @@ class FragmentEnergy:
     Values are kept for the array `x` itself: pass a new array for a new state.
 
     Attributes:
-        space: of D tangent coordinates. energy: of a single frame. frames: N.
+        space: of D tangent coordinates. energy: layout of that of a single frame. frames: N.
         names: of the terms, those of a frame first. sigma_jerk: (D,) of the jerk, m/s^3 and rad/s^3.
     """
 
-    def __init__(self, functions: FragmentFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
-        """Bind the functions to arrays. functions: those of `energy`. sigma_jerk: equal for the axes of a joint."""
-        self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
-        self.names = (*energy.names, *dict.fromkeys(path.term for path in energy.paths), "smooth")
+    def __init__(self, functions: FragmentFunctions, frames: int, sigma_jerk: Array) -> None:
+        """Bind the functions to arrays. sigma_jerk: equal for the axes of a joint."""
+        self.space, self.energy, self.frames, self.sigma_jerk = functions.space, functions.layout, frames, sigma_jerk
+        self.names = (*self.energy.names, *dict.fromkeys(self.energy.paths), "smooth")
         self._functions, self._columns = functions, Columns(frames)
-        size, P = energy.space.size, len(energy.paths)
+        size, P, value = self.space.size, len(self.energy.paths), functions.frames["value"]
         self._matrix = Store(frames * size, (LAGS - 1) * size + BEYOND, bool(functions.code))
-        zeros, shape = self._columns.zeros, energy.value.nnz_out
-        self._x, self._observed = zeros(energy.value.nnz_in(0)), zeros(energy.value.nnz_in(1))
-        self._constant, self._rate = np.zeros(energy.value.nnz_in(2)), np.zeros(1)
+        zeros = self._columns.zeros
+        self._x, self._observed = map(zeros, value.inputs[:2])
+        self._constant, self._rate = np.zeros(value.inputs[2]), np.zeros(1)
         self._sigma = np.array(sigma_jerk, dtype=float)
-        self._terms, self._points, self._residuals = (zeros(shape(i)) for i in range(3))
+        self._terms, self._points, self._residuals = map(zeros, value.outputs)
         self._step, self._tension, self._gradient_now = zeros(size), zeros(size), zeros(size)
-        self._motion_energy = zeros(len(self.names) - len(energy.names))
+        self._motion_energy = zeros(len(self.names) - len(self.energy.names))
         self._slope, self._force = zeros(P), zeros(3 * P)
         self._a, self._w, self._w_jerk = zeros(3 * P), zeros(P), zeros(1)
-        self._inverse = zeros(functions.frames["inverse"].function.nnz_out(0))
-        self._changing = zeros(functions.linear.frame.function.nnz_out(1))
+        self._inverse = zeros(functions.frames["inverse"].outputs[0])
+        self._changing = zeros(functions.frames["linear"].outputs[1])
         self._coefficients = zeros(3 * LAGS)
         self._retract = Mapped(functions.code.get("retract"), functions.frames["retract"], frames)
         self._bind_functions()
@@ -188,20 +224,19 @@ class FragmentEnergy:
             coefficients,
             *shared,
         ]
-        self._run["linear"] = self._placed(self._functions.linear, linear, [at(self._gradient_now), at(self._changing)])
-        self._run["coupled"] = self._placed(self._functions.coupled, coupled, [])
+        self._run["linear"] = self._placed("linear", linear, [at(self._gradient_now), at(self._changing)])
+        self._run["coupled"] = self._placed("coupled", coupled, [])
 
     def _over(self, name: str, frames: int, inputs: list[Array], outputs: list[Array]) -> Over:
         functions = self._functions
         to = [self._columns.at(array) for array in outputs]
         return Over(functions.code.get(name), functions.frames[name], frames, inputs, to)
 
-    def _placed(self, given: HessianColumns, inputs: list[Array], outputs: list[Array]) -> Over:
-        name, step = given.frame.function.name(), self._matrix.step
-        band = self._matrix.entries.reshape(self.frames, -1)
-        places = (given.groups[:, 0] + step * given.groups[:, 1]).astype(np.int64)
-        code = self._functions.code.get(name)
-        return Over(code, given.frame, self.frames, inputs, [*outputs, band], places)
+    def _placed(self, name: str, inputs: list[Array], outputs: list[Array]) -> Over:
+        functions, step = self._functions, self._matrix.step
+        band, groups = self._matrix.entries.reshape(self.frames, -1), functions.groups[name]
+        places = (groups[:, 0] + step * groups[:, 1]).astype(np.int64)
+        return Over(functions.code.get(name), functions.frames[name], self.frames, inputs, [*outputs, band], places)
 
     def bind(self, data: FragmentData) -> None:
         """Set the data of the fragment to be evaluated."""
@@ -235,7 +270,7 @@ class FragmentEnergy:
         return self._prior_at[1:]
 
     def reweigh(self, name: str, weight: Array) -> None:
-        """Replace the weights (N, ...), 1 / sigma^2, of one kind of observation, of `FrameEnergy.observation`."""
+        """Replace the weights (N, ...), 1 / sigma^2, of one kind of observation, of `FrameLayout.observation`."""
         self._known = None
         columns = weight.reshape(self.frames, -1).T
         self._observed[self.energy.rows[name], self._columns.inside] = columns
@@ -367,20 +402,14 @@ def built_energy(
 ) -> FragmentEnergy:
     """Return an energy of N frames of a skeleton, compiled where possible; sigma: (D,) `terms.jerk_sigma`."""
     with BUILDING:
-        energy = _frame_energy(name, terms, moving, hinges)
-        return FragmentEnergy(_functions(name, terms, moving, hinges, compile), energy, frames, sigma)
-
-
-@cache
-def _frame_energy(name: str, terms: tuple[Term, ...], moving: tuple[str, ...], hinges: bool) -> FrameEnergy:
-    return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), terms)
+        return FragmentEnergy(_functions(name, terms, moving, hinges, compile), frames, sigma)
 
 
 @cache
 def _functions(
     name: str, terms: tuple[Term, ...], moving: tuple[str, ...], hinges: bool, compile: Compile
 ) -> FragmentFunctions:
-    return FragmentFunctions.of(_frame_energy(name, terms, moving, hinges), compile)
+    return FragmentFunctions.of(StateSpace(SkeletonModel.named(name), moving, hinges), terms, compile)
 
 
 @cache

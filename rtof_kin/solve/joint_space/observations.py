@@ -14,8 +14,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.energy import FrameEnergy
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, built_energy
+from rtof_kin.solve.joint_space.layout import FrameLayout
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.joint_space.terms import Acceleration, built_in_terms, jerk_sigma, low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -35,7 +35,7 @@ class Attached:
     feet: tuple[int, ...]
 
     @classmethod
-    def of(cls, energy: FrameEnergy) -> Self:
+    def of(cls, energy: FrameLayout) -> Self:
         """Return those of an energy."""
         landmarks = energy["visual"].landmarks
         free = np.array([[0.0 if is_joint else 1.0] for _, is_joint in landmarks])

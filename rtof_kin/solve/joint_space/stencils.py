@@ -16,18 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from rtof_kin.core.array_types import Index
-from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
+from rtof_kin.core.numerics.simd import GROUP, FrameFunction
+from rtof_kin.core.packages import casadi as ca
 from rtof_kin.solve import terms as residuals
 from rtof_kin.solve.joint_space.energy import FrameEnergy
+from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.state import StateSpace
-
-LAGS: Final = 4  #: Frames from 0 to 3 apart are coupled
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def linear(energy: FrameEnergy) -> HessianColumns:
     inputs = [*frame, *around.inputs(), *slopes, jerk.coefficients, jerk.sigma, rate]
     outputs = [ca.densify(v) for v in (gradient, changing, numbers)]
     shared = (2, len(inputs) - 2, len(inputs) - 1)
-    return HessianColumns(FrameFunction(ca.Function("linear", inputs, outputs), shared, placed=True), groups)
+    return HessianColumns(FrameFunction.of(ca.Function("linear", inputs, outputs), shared, placed=True), groups)
 
 
 def coupled(energy: FrameEnergy) -> HessianColumns:
@@ -161,7 +160,7 @@ def coupled(energy: FrameEnergy) -> HessianColumns:
     inputs = [*changing, *slopes, *L, jerk.coefficients, jerk.sigma, rate]
     shared = (len(inputs) - 2, len(inputs) - 1)
     function = ca.Function("coupled", inputs, [ca.densify(numbers)])
-    return HessianColumns(FrameFunction(function, shared, placed=True), groups)
+    return HessianColumns(FrameFunction.of(function, shared, placed=True), groups)
 
 
 class _Neighbours:
@@ -302,4 +301,4 @@ def _stacked(parts: list[Any]) -> Any:
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any], shared: tuple[int, ...] = ()) -> FrameFunction:
-    return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs]), shared)
+    return FrameFunction.of(ca.Function(name, inputs, [ca.densify(v) for v in outputs]), shared)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar, Final
 
-import casadi as ca
 import numpy as np
 
 from rtof_kin.body import kinematics
@@ -19,16 +18,17 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.packages import casadi as ca
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.inertial.root_path import FEET, ContactPoints, detect_contacts
 from rtof_kin.solve import terms as residuals
-from rtof_kin.solve.joint_space.energy import Frame, camera_names
 from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.terms import Matrix, Shapes, Term, cauchy_loss, cut_off_loss, pseudo_huber_loss
 from rtof_kin.vision.image_points import ImagePoints
 
 if TYPE_CHECKING:
+    from rtof_kin.solve.joint_space.energy import Frame
     from rtof_kin.solve.joint_space.observations import Observations
 
 TORSO: Final = ("Hips", "Spine3")  #: Pelvis and upper trunk
@@ -373,6 +373,12 @@ class Acceleration(Term):
     def constant(self, data: Observations) -> dict[str, Array]:
         """Return the lever arms."""
         return {"levers": data.sensed[4].T}
+
+
+def camera_names(which: int) -> tuple[str, str, str]:
+    """Return the names of a camera's constants, 0 for the first: intrinsic matrix, rotation and translation."""
+    end = f"_{which}" if which else ""
+    return f"K{end}", f"R_camera_world{end}", f"t_camera_world{end}"
 
 
 def jerk_sigma(space: StateSpace, settings: JointSpaceSettings, active: Collection[str]) -> Array:
