@@ -7,10 +7,8 @@ docstring, type and default, so that no field is described twice.
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import partial, wraps
@@ -21,6 +19,7 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_typ
 
 from cyclopts import Parameter, Token, convert
 
+from rtof_kin.core.docstrings import field_docstrings
 from rtof_kin.setup.settings import ReconstructionTask, SetupSettings
 
 Function = Callable[..., Any]
@@ -105,20 +104,9 @@ def _constant(text: str, _: Any) -> str:
 
 
 def descriptions(settings: type) -> dict[str, str]:
-    """Return the docstring or ``#:`` comment of each field of a class, in one line that begins with a small letter."""
-    source = textwrap.dedent(inspect.getsource(settings))
-    (node,) = ast.parse(source).body
-    assert isinstance(node, ast.ClassDef)
-    found = {}
-    for field, after in zip(node.body, [*node.body[1:], None], strict=True):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-            text = source.splitlines()[field.lineno - 1].partition("  #: ")[2]
-            if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-                text = str(after.value.value)
-            if not (line := " ".join(text.replace("`", "").split()).removesuffix(".")):
-                continue
-            found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
-    return found
+    """Return the docstring of each field of a class, in one line that begins with a small letter."""
+    lines = {name: text.replace("`", "").removesuffix(".") for name, text in field_docstrings(settings).items()}
+    return {name: line[0].lower() + line[1:] if line[1:2].islower() else line for name, line in lines.items()}
 
 
 def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:

@@ -29,6 +29,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.docstrings import field_docstrings
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError, did_you_mean
 from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
 
@@ -173,9 +174,7 @@ class Rule(NamedTuple):
 class InputTable(BaseModel):
     """A table of a file that people write; other fields than those of the model are refused."""
 
-    model_config = ConfigDict(
-        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
     rules: ClassVar[tuple[Rule, ...]] = ()
     _path: Path = PrivateAttr(default=Path())
     _name: str = PrivateAttr(default="")
@@ -217,7 +216,14 @@ class InputTable(BaseModel):
     @classmethod
     def missing(cls, field: str) -> str:
         """Return the end of the sentence about a field that is not given."""
-        return f"missing; add it: {' '.join((cls.model_fields[field].description or field).split())}"
+        return f"missing; add it: {cls.descriptions().get(field, field)}"
+
+    @classmethod
+    def descriptions(cls) -> dict[str, str]:
+        """Return the docstrings of the fields, which are read only where they are shown."""
+        own = cls.__pydantic_generic_metadata__["origin"] or cls
+        tables = [base for base in reversed(own.__mro__) if issubclass(base, InputTable) and base is not InputTable]
+        return {name: text for table in tables for name, text in field_docstrings(table).items()}
 
     @model_validator(mode="before")
     @classmethod
@@ -262,7 +268,13 @@ def _locate(table: InputTable, path: Path, name: str) -> None:
 
 
 class _Schema(GenerateJsonSchema):
-    """A schema without titles, and without null, which TOML does not have."""
+    """A schema with descriptions, without titles, and without null, which TOML does not have."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        node = super().model_schema(schema)
+        for name, text in schema["cls"].descriptions().items():
+            node["properties"][name]["description"] = text
+        return node
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])
