@@ -148,7 +148,7 @@ class CalibrationResiduals:
 
     def _points_by_state(self, joints: Sequence[int], points: Array) -> Array:
         """Derivatives (N, K, 3, D) of points (N, K, 3) on segments."""
-        return self.space.point_rates(self.p, self._turn_rates, joints, points)
+        return self.space.point_rates(self.p, self.R, joints, points)
 
     def pixels(self, weight: Array, knee: Array) -> Residuals:
         """Return those of reprojection, px, for weights (N, L) and the threshold of the loss (N,)."""

@@ -102,29 +102,28 @@ def joined(parts: Sequence[Confidence]) -> Confidence:
 
 def valid_covariances(matrices: Array) -> Mask:
     """Return a mask (...) of symmetric matrices (..., 3, 3) without a negative variance, to rounding, or NaN."""
-    size = np.abs(matrices).max(axis=(-2, -1), initial=0.0)
-    least = _least_minors((matrices / np.maximum(size, 1e-300)[..., None, None]).reshape(-1, 3, 3))
-    return ~(least < -_ROUNDING).reshape(size.shape)
+    entries = np.ascontiguousarray(matrices.reshape(-1, 9).T)
+    return _without_negative(entries, np.abs(entries).max(axis=0)).reshape(matrices.shape[:-2])
 
 
 def _check_covariance(field: str, covariance: Array) -> None:
     """Raise if a matrix is partly NaN, infinite, not symmetric, or has a negative variance."""
-    missing = np.isnan(covariance).all(axis=(-2, -1))
-    known = covariance[~missing]
-    if not np.isfinite(known).all():
+    entries = np.ascontiguousarray(covariance.reshape(-1, 9).T)  # rows of one entry each
+    known = ~np.isnan(entries).all(axis=0)
+    if not known.all():
+        entries = entries[:, known]
+    if not np.isfinite(entries).all():
         raise InvalidInputError(f"{field}: not finite; write NaN as a whole where it is unknown")
-    size = np.abs(known).max(axis=(-2, -1), initial=0.0)
-    off = np.abs(known - np.swapaxes(known, -1, -2)).max(axis=(-2, -1), initial=0.0)
-    if np.any(off > _ROUNDING * size):
+    size = np.abs(entries).max(axis=0)
+    if (np.abs(entries[[1, 2, 5]] - entries[[3, 6, 7]]) > _ROUNDING * size).any():
         raise InvalidInputError(f"{field}: a matrix is not symmetric")
-    if not valid_covariances(known).all():
+    if not _without_negative(entries, size).all():
         raise InvalidInputError(f"{field}: a variance is negative")
 
 
-def _least_minors(matrices: Array) -> Array:
-    """Return the smallest principal minors (n,) of symmetric matrices (n, 3, 3) (Sylvester's criterion)."""
-    a, b, c = (matrices[:, i, i] for i in range(3))
-    d, e, f = matrices[:, 1, 2], matrices[:, 0, 2], matrices[:, 0, 1]
+def _without_negative(entries: Array, size: Array) -> Mask:
+    """Return whether principal minors of symmetric matrices (9, n) of a size (n,) are not negative (Sylvester)."""
+    a, f, e, _, b, d, _, _, c = entries / np.maximum(size, 1e-300)
     pairs = b * c - d * d, a * c - e * e, a * b - f * f
     whole = a * pairs[0] - f * (f * c - d * e) + e * (f * d - b * e)
-    return np.asarray(np.min([a, b, c, *pairs, whole], axis=0, initial=0.0))
+    return np.asarray(~(np.minimum.reduce([a, b, c, *pairs, whole]) < -_ROUNDING))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import Factor, Store, factorise, inverse_diagonal
+from rtof_kin.core.numerics.banded import Factor, Store, factorise
 
 Array = NDArray[np.float64]
 Solver = Callable[[Array, int], Factor]
@@ -158,20 +158,23 @@ def diagonal_of_inverse(H: Array, size: int) -> Array:
     return np.array([inverse[t, :, t] for t in range(len(inverse))])
 
 
-@pytest.mark.parametrize("size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2)])
+@pytest.mark.parametrize(
+    "size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2), (21, 4, 25)]
+)
 def test_inverse_diagonal_equals_that_of_the_dense_inverse(solver: Solver, size: int, lags: int, frames: int) -> None:
     width = min((lags - 1) * size + 1, size * frames)
     H = system(size * frames, width)
-    found = inverse_diagonal(solver(H, width).blocks(size, lags))
+    found = solver(H, width).inverse_diagonal(size, lags)
     np.testing.assert_allclose(found, diagonal_of_inverse(H, size), rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(solver(H, width).inverse_diagonal(size, lags, 1), found[1:])
 
 
-def test_inverse_diagonal_of_a_long_stiff_chain_stays_accurate_and_symmetric() -> None:
+def test_inverse_diagonal_of_a_long_stiff_chain_stays_accurate_and_symmetric(solver: Solver) -> None:
     """Third differences as in jerk: without symmetrisation rounding errors grow exponentially."""
     frames, size = 120, 3
     third = np.kron(np.diff(np.eye(frames), n=3, axis=0), np.eye(size))
     H = 1e6 * third.T @ third + np.kron(np.eye(frames), system(size, size, 3))
-    found = inverse_diagonal(factorise(band_of(H, 3 * size + 1)).blocks(size, 4))
+    found = solver(H, 3 * size + 1).inverse_diagonal(size, 4)
     np.testing.assert_allclose(found, diagonal_of_inverse(H, size), rtol=1e-6)
     assert np.linalg.eigvalsh(found).min() > 0
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
@@ -181,4 +184,4 @@ def test_blocks_that_do_not_fit_the_band_are_refused(solver: Solver) -> None:
     factor = solver(system(12, 5), 5)
     for size in (5, 2):
         with pytest.raises(SolverError, match=f"12 unknowns with a band of 4: not 2 blocks of {size}"):
-            factor.blocks(size, 2)
+            factor.inverse_diagonal(size, 2)

@@ -1,8 +1,8 @@
 """Symmetric banded systems: Cholesky factorisation, and diagonal blocks of the inverse.
 
-`inverse_diagonal` is Takahashi's recursion by blocks (Rue & Held 2005, section 2.3.1) from the last block column of the
-factor to the first. With G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal, and Z_window
-the part of the inverse Z that couples with it::
+`Factor.inverse_diagonal` is Takahashi's recursion by blocks (Rue & Held 2005, section 2.3.1) from the last block column
+of the factor to the first. With G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal, and
+Z_window the part of the inverse Z that couples with it::
 
     Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
 """
@@ -60,44 +60,33 @@ class Factor:
             raise SolverError("the banded system could not be solved")
         return np.asarray(x)
 
-    def blocks(self, size: int, lags: int) -> Array:
-        """Return the blocks (N, lags, size, size) of the factor L, where L L^T is the matrix and a block is coupled
-        with the next lags - 1: [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
+    def inverse_diagonal(self, size: int, lags: int, first: int = 0) -> Array:
+        """Return the diagonal blocks (N - first, size, size) of the matrix's inverse from the block `first` on, where a
+        block is coupled with the next lags - 1; a band that does not fit raises `SolverError`.
         """
         width, unknowns = self.band.shape
-        band, frames = width - 1, unknowns // size
-        if unknowns % size or band >= lags * size:
-            raise SolverError(f"{unknowns} unknowns with a band of {band}: not {lags} blocks of {size}")
+        band, D = width - 1, size
+        frames = unknowns // D
+        if unknowns % D or band >= lags * D:
+            raise SolverError(f"{unknowns} unknowns with a band of {band}: not {lags} blocks of {D}")
         if self._compiled is not None:
-            store, flat = self._compiled
-            step = store.step  # entry (i, j) is flat[i + j * step]
-        else:
-            flat, step = self.band.ravel(order="F"), band
-        out, word = np.zeros((frames, lags, size, size)), flat.itemsize
-        for k in range(min(lags, frames)):
-            shape, strides = (frames - k, size, size), (size * (1 + step) * word, step * word, word)
-            columns = np.lib.stride_tricks.as_strided(flat[k * size :], shape, strides)
-            out[: frames - k, k] = np.swapaxes(columns, 1, 2)
-        # Above the diagonal and below the band the view shows other columns.
-        below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
-        return np.where((below >= 0) & (below <= band), out, 0.0)
-
-
-def inverse_diagonal(factor: Array) -> Array:
-    """Return the diagonal blocks (N, D, D) of the inverse of a matrix. factor: (N, lags, D, D) from `Factor.blocks`."""
-    N, lags, D, _ = factor.shape
-    out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
-    for t in range(N - 1, -1, -1):
-        inverse, _ = lapack.dtrtri(factor[t, 0], lower=1)
-        G = factor[t, 1:].reshape(-1, D) @ inverse
-        above = window @ G  # -Z_below
-        own = inverse.T @ inverse + G.T @ above
-        out[t] = (own + own.T) / 2  # else rounding errors grow from frame to frame
-        if lags > 1:
+            store, factor = self._compiled
+            return store._inverse(factor, D, first, frames)
+        out, window = np.empty((frames - first, D, D)), np.zeros((lags * D,) * 2)
+        for t in range(frames - 1, first - 1, -1):
+            columns = np.zeros((lags * D, D))
+            for c, column in enumerate(self.band[:, t * D : (t + 1) * D].T):
+                columns[c : c + width, c] = column[: lags * D - c]
+            columns[(frames - t) * D :] = 0.0  # where the band has no entries
+            inverse, _ = lapack.dtrtri(columns[:D], lower=1)
+            G = columns[D:] @ inverse
+            above = window[:-D, :-D] @ G  # -Z_below
+            own = inverse.T @ inverse + G.T @ above
+            out[t - first] = (own + own.T) / 2  # else rounding errors grow from frame to frame
             window[D:, D:] = window[:-D, :-D]
-            window[:D, :D], window[D:, :D] = out[t], -above[:-D]
+            window[:D, :D], window[D:, :D] = out[t - first], -above
             window[:D, D:] = window[D:, :D].T
-    return out
+        return out
 
 
 def factorise(band: Array) -> Factor:
@@ -155,6 +144,13 @@ class Store:
         self._code.banded_solve(factor.ctypes.data, x.ctypes.data, self._blocked, self.band, self.step)
         return x[: self.size]
 
+    def _inverse(self, factor: Array, block: int, first: int, count: int) -> Array:
+        out, side = np.empty((count - first, block, block)), self._code.banded_side(self.band)
+        space = np.empty(side * (side + 2 * self._code.banded_wide()))
+        sizes = self._blocked, self.band, self.step, block, first, count
+        self._code.banded_inverse(factor.ctypes.data, space.ctypes.data, out.ctypes.data, *sizes)
+        return out
+
     def _forward(self, factor: Array, right: Array) -> Array:
         tile = self._code.banded_tile()
         x = np.zeros((-(-right.shape[1] // tile), self._blocked, tile))
@@ -188,6 +184,9 @@ def _opened(cache: Path) -> Any:
         pointer, count = ctypes.c_void_p, ctypes.c_longlong
         opened.banded_factorise.argtypes = [pointer, pointer, count, count, count, ctypes.c_double]
         opened.banded_factorise.restype = count
+        opened.banded_side.argtypes, opened.banded_side.restype = [count], count
+        opened.banded_inverse.argtypes = [pointer, pointer, pointer, *[count] * 6]
+        opened.banded_inverse.restype = None
         opened.banded_solve.argtypes = [pointer, pointer, count, count, count]
         opened.banded_solve.restype = None
         opened.banded_forward.argtypes = [pointer, pointer, count, count, count]

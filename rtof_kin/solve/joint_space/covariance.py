@@ -1,9 +1,8 @@
 """Covariances of a fragment's states, and of the poses that follow from them.
 
 At the optimum the Gauss-Newton Hessian is the inverse covariance of all states of the fragment, as far as the weights
-are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of each frame
-(`banded.inverse_diagonal`). Robust losses count with their weight at the optimum, and an active limit holds its angle
-to a degree.
+are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of each frame. Robust losses
+count with their weight at the optimum, and an active limit holds its angle to a degree.
 
 Covariance of unseen joints, by the pose prior. The Hessian takes the frames of a gap as independent draws
 from the prior, coupled by the jerk: over seconds it knows an unseen leg better than any frame of it. People do not:
@@ -23,6 +22,7 @@ exercises (61 to 80 %).
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import combinations_with_replacement
 from typing import Final
 
 import numpy as np
@@ -31,7 +31,6 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.joint_space.fragment import FragmentEnergy
@@ -51,7 +50,7 @@ def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solve
         factor = problem.factorise(_DAMPING)
     except SolverError:
         return np.full((N, D, D), np.nan)
-    covariance = inverse_diagonal(factor.blocks(D, LAGS))
+    covariance = factor.inverse_diagonal(D, LAGS)
     covariance[~np.isfinite(covariance).all(axis=(1, 2))] = np.nan
     return covariance
 
@@ -87,29 +86,43 @@ def confidence_of(
 ) -> Confidence:
     """Return the covariances of positions and orientations from those of tangents (T, D, D) at states x (T, 3 + 4A)."""
     skeleton, (p, R) = space.skeleton, space.poses(x)
-    rates = space.turn_rates(R)
-    moves = space.point_rates(p, rates, range(len(skeleton.names)), p)
-    turns = np.concatenate([np.zeros((*p.shape, 3)), np.swapaxes(rates, -1, -2)], axis=-1)
+    rates, names = space.turn_rates(R), skeleton.names
+    moves = space.point_rates(p, R, range(len(names)), p)
+    turns = np.zeros_like(moves)
+    turns[..., 3:] = np.swapaxes(rates, -1, -2)
     pairs = segment_pairs(skeleton)
-    names = (*skeleton.names, WORLD)
-    parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
-    turns = np.concatenate([turns, np.zeros_like(turns[:, :1])], axis=1)  # the world's
-    seen_from = np.swapaxes(R[:, children], -1, -2) @ (turns[:, children] - turns[:, parents])
-    turned = _covariance(seen_from, covariance)
-    turning = {*space.names} - {*fixed}
-    turned[:, [child not in turning for _, child in pairs]] = np.nan  # turned with its parent
+    others = [k for k, (parent, child) in enumerate(pairs) if not _adjacent(skeleton, parent, child)]
+    children = skeleton.index(*(pairs[k][1] for k in others))
+    seen_from = turns[:, children]
+    apart = [i for i, k in enumerate(others) if pairs[k][0] != WORLD]
+    seen_from[:, apart] -= turns[:, skeleton.index(*(pairs[others[i]][0] for i in apart))]
+    turned = np.full((len(x), len(pairs), 3, 3), np.nan)
+    turned[:, others] = _covariance(np.swapaxes(R[:, children], -1, -2) @ seen_from, covariance)
+    own = space.rotation_covariances(covariance)  # of neighbouring segments
+    for k, (parent, child) in enumerate(pairs):
+        if child not in space.names or child in fixed:
+            turned[:, k] = np.nan  # turned with its parent
+        elif _adjacent(skeleton, parent, child):
+            turned[:, k] = own[:, space.names.index(child)]
+    turned[np.isnan(turned).any(axis=(2, 3))] = np.nan  # a hinge has zeros beside what is unknown
     positions = _covariance(moves, covariance)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan
     moves[..., :3] = 0.0  # as seen from the root
-    return Confidence(times, skeleton.names, positions, _covariance(moves, covariance), pairs, turned)
+    return Confidence(times, names, positions, _covariance(moves, covariance), pairs, turned)
+
+
+def _adjacent(skeleton: SkeletonModel, parent: str, child: str) -> bool:
+    above = skeleton.parents[skeleton.names.index(child)]
+    return above >= 0 and skeleton.names[above] == parent
 
 
 def _covariance(J: Array, covariance: Array) -> Array:
     """Covariances (T, n, 3, 3) of n vectors with derivatives J (T, n, 3, D)."""
     T, n, _, D = J.shape
-    JC = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape)
-    out = JC @ np.swapaxes(J, -1, -2)
-    return np.asarray((out + np.swapaxes(out, -1, -2)) / 2)
+    JC, out = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape), np.empty((T, n, 3, 3))
+    for i, j in combinations_with_replacement(range(3), 2):
+        out[..., i, j] = out[..., j, i] = np.einsum("tnd,tnd->tn", JC[:, :, i], J[:, :, j])
+    return out
 
 
 SPREAD: Final = 1.0  #: [1] Factor on the standard deviations of the solver's prior

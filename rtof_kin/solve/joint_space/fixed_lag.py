@@ -22,7 +22,6 @@ from scipy.linalg import lapack
 
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
 from rtof_kin.solve.joint_space.annealing import CameraErrors
 from rtof_kin.solve.joint_space.fragment import MEMORY, FragmentData, FragmentEnergy, MarginalPrior
@@ -212,7 +211,7 @@ class FixedLagSmoother:
             factor = self._window.factorise(_DAMPING)
         except SolverError:
             return np.full((self.frames - first, D, D), np.nan)
-        return inverse_diagonal(factor.blocks(D, LAGS)[first:])
+        return factor.inverse_diagonal(D, LAGS, first)
 
     def weighted_first(self) -> dict[str, Array]:
         """Return the observations of the oldest frame with their weights: name -> (...)."""

@@ -161,17 +161,35 @@ class StateSpace:
                 beyond[j] |= beyond[parent]
         return owners, axes, beyond[:, owners]
 
+    def _axes_in_world(self, R: Array) -> Array:
+        """Axis (T, D - 3, 3) of each rotation coordinate in world."""
+        owners, axes, _ = self._turning
+        return np.asarray(np.einsum("tdij,jd->tdi", R[:, owners], axes))
+
     def turn_rates(self, R: Array) -> Array:
         """Return derivatives (T, J, D - 3, 3) of segments' rotation vectors in world, at R, by the rotations."""
-        owners, axes, moves = self._turning
-        turned = np.einsum("tdij,jd->tdi", R[:, owners], axes)
-        return np.where(moves[..., None], turned[:, None], 0.0)
+        return np.where(self._turning[2][..., None], self._axes_in_world(R)[:, None], 0.0)
 
-    def point_rates(self, p: Array, turns: Array, joints: Sequence[int], points: Array) -> Array:
-        """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent, with `turn_rates`."""
-        arm = points[:, :, None] - p[:, None, self._turning[0]]
-        moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)
-        return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), moved], axis=-1)
+    def point_rates(self, p: Array, R: Array, joints: Sequence[int], points: Array) -> Array:
+        """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent, at p and R."""
+        (T, K, _), count = points.shape, self.size - 3
+        axes = np.moveaxis(self._axes_in_world(R), 2, 0)  # (3, T, D - 3)
+        centers = np.moveaxis(p[:, self._turning[0]], 2, 0)
+        cross, moved = np.zeros((T, 3, 3, count)), np.empty((T, 1, 3, count))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # of axis x (point - center)
+            cross[:, k, i], cross[:, j, i] = axes[j], -axes[k]
+            moved[:, 0, i] = axes[j] * centers[k] - axes[k] * centers[j]
+        out = np.empty((T, K, 3, self.size))
+        out[..., :3] = np.eye(3)
+        np.subtract((points @ cross.reshape(T, 3, -1)).reshape(T, K, 3, -1), moved, out=out[..., 3:])
+        out[..., 3:] *= self._turning[2][list(joints), None]
+        return out
+
+    def rotation_covariances(self, covariance: Array) -> Array:
+        """Return the covariances (T, A, 3, 3) of the joints' rotation vectors from those of tangents (T, D, D)."""
+        axes = np.where(self.expand.any(axis=1), 3 + self.expand.argmax(axis=1), self.size).reshape(-1, 3)
+        padded = np.pad(covariance, ((0, 0), (0, 1), (0, 1)))  # no variance about the other axes of a hinge
+        return np.asarray(padded[:, axes[:, :, None], axes[:, None]])
 
 
 class Limits:
