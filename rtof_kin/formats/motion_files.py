@@ -172,13 +172,11 @@ def _write_table(
             writer.writerows(zip(*(_cells(column.values) for column in columns), strict=True))
 
 
-def _cells(values: NDArray[Any]) -> list[str]:
-    """Texts of the values (T,) of a column; '' for NaN."""
-    if values.dtype.kind == "U":
-        return [str(value) for value in values.tolist()]
-    if values.dtype.kind == "b":
-        return ["1" if value else "0" for value in values.tolist()]
-    return ["" if value != value else repr(value) for value in values.tolist()]
+def _cells(values: NDArray[Any]) -> list[Any]:
+    """Values (T,) of a column as `csv` writes them: numbers with all digits, 1 and 0, and '' for NaN."""
+    cells: list[Any] = (values.astype(int) if values.dtype.kind == "b" else values).tolist()
+    missing = values.dtype.kind == "f" and np.isnan(values).any()
+    return ["" if value != value else value for value in cells] if missing else cells
 
 
 def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
