@@ -1,4 +1,5 @@
-"""Reconstructions of the application: one after the other, each in a process of its own.
+"""Reconstructions of the application: one after the other, each in a process of its own, which starts others for the
+further cores.
 
 What waits and what runs is kept with the recordings, so that a server that is started anew goes on; `run` keeps the
 steps that are done.
@@ -20,6 +21,7 @@ from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError, UndecidedError
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.core.jobs.processes import end_with_parent
 from rtof_kin.reporting.page import PAGE, review
 from rtof_kin.setup.run import MOTION, make_recordings, run
@@ -163,8 +165,8 @@ class Work:
             with self._changed, sender:
                 if self._now != folder:
                     return {}
-                arguments = str(folder), self.store.change(folder, state=State.RUNNING), sender
-                process = self._process = _CONTEXT.Process(target=_reconstruct, args=arguments, daemon=True)
+                arguments = str(folder), self.store.change(folder, state=State.RUNNING), sender, usable_cores()
+                process = self._process = _CONTEXT.Process(target=_reconstruct, args=arguments)
                 process.start()
             with suppress(EOFError, OSError):
                 while not outcome:
@@ -186,8 +188,8 @@ class Work:
 # --- in the process ------------------------------------------------------------------------------
 
 
-def _reconstruct(place: str, take: Take, sender: Connection) -> None:
-    """Reconstruct a recording; sends (stage, steps done, in all), at last what changes in its `Take`."""
+def _reconstruct(place: str, take: Take, sender: Connection, cores: int) -> None:
+    """Reconstruct a recording on some cores; sends (stage, steps done, in all), at last what changes in its `Take`."""
     end_with_parent()
     folder, sent = Path(place), ("", 0.0)
 
@@ -201,7 +203,8 @@ def _reconstruct(place: str, take: Take, sender: Connection) -> None:
     try:
         files, setup, second = Store.setup(folder)
         subject = folder.parent.parent / SUBJECT
-        task = ReconstructionTask(calibrate=True, subject=subject, update_subject=take.learn and not take.look)
+        learns = take.learn and not take.look
+        task = ReconstructionTask(calibrate=True, subject=subject, update_subject=learns, threads=cores)
         how: dict[str, Any] = {"overwrite": True, "progress": progress}
         with without_warnings("rtof_kin"):
             if take.look:

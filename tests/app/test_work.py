@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,6 +22,7 @@ from rtof_kin.app.store import State, Store
 from rtof_kin.app.work import Stages, Work
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
+from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.setup.init import read_findings
 
@@ -89,7 +91,7 @@ def outcome(store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch, **value
     sent: list[Any] = []
     monkeypatch.setattr(module, "end_with_parent", lambda: None)
     sender: Any = SimpleNamespace(send=sent.append)
-    module._reconstruct(str(folder), store.change(folder, look=True, **values), sender)
+    module._reconstruct(str(folder), store.change(folder, look=True, **values), sender, 1)
     assert all(isinstance(one, tuple) for one in sent[:-1])
     found: dict[str, Any] = sent[-1]
     return found
@@ -137,7 +139,7 @@ def test_sensors_that_are_not_known_are_asked_for_and_a_map_is_the_answer(
     assert found["places"] == {name: (place, 1.0) for name, place in places.items()} | {"A00": ("", 0.0)}
 
 
-def endless(_: str, __: Any, sender: Any) -> None:
+def endless(_: str, __: Any, sender: Any, ___: int) -> None:
     sender.send(("lift", 0, 2))
     time.sleep(120)
 
@@ -163,8 +165,19 @@ def test_cancelled_is_a_draft_and_closed_goes_on_with_the_next_server(
     assert store.take(second).state is State.DRAFT
 
 
-def gone(_: str, __: Any, ___: Any) -> None:
+def gone(*_: Any) -> None:
     raise SystemExit(3)
+
+
+def told(_: str, __: Any, sender: Any, cores: int) -> None:
+    sender.send({"state": State.FAILED, "said": f"{cores} cores {multiprocessing.current_process().daemon}"})
+
+
+def test_the_process_may_start_others_for_all_cores(store: Store, work: Work, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_reconstruct", told)
+    work.ask(first := store.takes()[0])
+    until(lambda: store.take(first).state is State.FAILED)
+    assert store.take(first).said == f"{usable_cores()} cores False"
 
 
 def test_a_process_that_ends_without_an_answer_is_said(
