@@ -28,6 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
     Compiling an energy takes longer than most tests that use it; `compiled` and `compile_cache` turn it on.
     """
     os.environ.setdefault(COMPILE, "never")
+    gc.disable()  # modules and items of a collection are not garbage; a third of its time
     config.option.loadscopereorder = False  # else files of few tests, some of which are long, come last
     if not hasattr(config, "workerinput") and CACHE not in os.environ:
         folder = TemporaryDirectory(prefix="rtof_kin_tests_")
@@ -38,6 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     """Modules and items stay to the end: the garbage collector need not look at them again and again."""
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
