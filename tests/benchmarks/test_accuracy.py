@@ -20,7 +20,7 @@ from benchmarks.accuracy import tables
 from benchmarks.accuracy.cases import Case, cases
 from benchmarks.accuracy.faults import FAULTS, NOMINAL, Fault
 from benchmarks.accuracy.row_file import RowFile
-from benchmarks.accuracy.rows import FIGURES, Job, Prepared, Scene
+from benchmarks.accuracy.rows import FIGURES, Job, Scene
 from benchmarks.accuracy.tables import TABLES
 from benchmarks.accuracy.windows import MIDDLE_SECOND
 from rtof_kin.body.skeleton import SkeletonModel
@@ -179,11 +179,6 @@ def job(table: str = "ablation", frames: int = 180) -> Job:
     return Job(table, replace(CLIP, poses=MOTION.poses[:frames]), 0, 0, None)
 
 
-@pytest.fixture
-def prepared(lifter: planted.PlantedLifter) -> Prepared:
-    return Scene(job()).prepared(Case("", "white", "8"))
-
-
 def test_each_recording_is_lifted_once(lifter: planted.PlantedLifter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(self_calibration, "_SUSPECT", 0.0)  # sensors that explain little are lifted twice more
     scene = Scene(job())
@@ -198,7 +193,8 @@ def test_each_recording_is_lifted_once(lifter: planted.PlantedLifter, monkeypatc
     np.testing.assert_allclose(offsets, 1.03 * SKELETON.joint_offsets)
 
 
-def test_scores_include_the_torso_and_every_second(prepared: Prepared) -> None:
+def test_scores_include_the_torso_and_every_second(lifter: planted.PlantedLifter) -> None:
+    prepared = Scene(job()).prepared(Case("", "white", "8", as_given=True))
     truth = prepared.truth
     R = truth.R_world_bone.copy()
     R[:, SKELETON.index("Spine3")] @= so3.about_axis("y", np.radians(7.0))

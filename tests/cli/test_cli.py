@@ -44,8 +44,9 @@ sys.exit(main(["inspect", "none"]))
 def wrong(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of recordings and files that lack something."""
     folder, recording = tmp_path_factory.mktemp("wrong"), Recording.load(short)
+    assert recording.imus is not None
     replace(recording, imus=None, calibration=None).save(folder / "camera_only")
-    replace(recording, keypoints=None).save(folder / "sensors_only")
+    replace(recording, keypoints=None, imus=recording.imus[:180]).save(folder / "sensors_only")
     shutil.copytree(short, folder / "in_g")
     arrays = dict(np.load(short / "imus.npz"))
     np.savez(folder / "in_g" / "imus.npz", **arrays | {"f_sensor": arrays["f_sensor"] / 9.81})

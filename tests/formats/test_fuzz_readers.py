@@ -2,7 +2,7 @@
 and memory, and no content of a file is executed.
 
 Examples are the same in every run. ``RTOF_KIN_FUZZ=2000`` draws that many new ones for each file instead
-of 40; the file that breaks a reader is left in the folder that pytest names.
+of 25; the file that breaks a reader is left in the folder that pytest names.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rtof_kin.simulation.mocap import read_corpus
 
 BUDGET = os.environ.get("RTOF_KIN_FUZZ")
 FUZZ = settings(
-    max_examples=int(BUDGET or 40),
+    max_examples=int(BUDGET or 25),
     derandomize=BUDGET is None,
     database=None,
     deadline=None,

@@ -81,6 +81,7 @@ def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> 
         train(QUICK, corpus, tmp_path / "other.npz", start="live")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_start_of_a_shorter_receptive_field_answers_first_for_the_middle(corpus: Corpus, tmp_path: Path) -> None:
     start = train(replace(QUICK, windows=320, receptive_field=9), corpus, tmp_path / "short.npz")
     short = support.network_of(Lifter.load(start))
@@ -95,6 +96,7 @@ def test_a_start_of_a_shorter_receptive_field_answers_first_for_the_middle(corpu
         replace(QUICK, receptive_field=30)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None:
     path = train(replace(QUICK, windows=320, learning_rate=1e-2), corpus, tmp_path / "lifter.npz")
     losses: dict[bool, list[float]] = {}
@@ -139,6 +141,7 @@ def test_curves_are_written_also_by_an_interrupted_training(corpus: Corpus, tmp_
 # --- deterministic -------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Corpus, tmp_path: Path) -> None:
     config = replace(QUICK, deterministic=True, dropout=0.2, bfloat16=True)
     states, during = [], []
@@ -197,6 +200,7 @@ def test_an_error_of_the_second_thread_reaches_the_caller_and_the_thread_ends() 
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_validation_takes_a_twentieth_of_the_time(
     corpus: Corpus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

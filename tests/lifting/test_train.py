@@ -23,6 +23,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 
+pytestmark = pytest.mark.usefixtures("undrawn")
 QUICK = TrainConfig(
     windows=640,
     batch=32,
