@@ -1,4 +1,4 @@
-"""Fixtures of many tests: shipped skeletons, a motion, a camera; energies are interpreted but where a test compiles."""
+"""Fixtures of many tests: shipped skeletons, a motion, a camera, and which energies are compiled."""
 
 from __future__ import annotations
 
@@ -7,15 +7,30 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import planted
 import pytest
 from hypothesis import settings
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.core.numerics import banded, c_compiler
+from rtof_kin.core.resources import cache_folder
 from rtof_kin.data.camera import Camera
+from rtof_kin.inertial.root_path import FEET
+from rtof_kin.solve.joint_space import fragment, terms
+from rtof_kin.solve.settings import JointSpaceSettings
+from rtof_kin.solve.terms import Term
 
 CACHE, COMPILE = "RTOF_KIN_CACHE", "RTOF_KIN_COMPILE"
+SENSED = tuple(sorted(SkeletonModel.default().index(*planted.LIMBS)))
+USUAL = (
+    terms.Visual(tuple((joint, True) for joint in range(21))),
+    terms.Orientation(SENSED, JointSpaceSettings().robust_orientation),
+    terms.Floor(tuple(SkeletonModel.default().index(*FEET)), JointSpaceSettings().floor_cutoff),
+    terms.Acceleration(SENSED, JointSpaceSettings().robust_acceleration),
+)
+"""Terms of the energy of most tests, of the joints in one camera's image and of the eight sensors of the limbs."""
 
 # One commit has one verdict: examples follow from the test. New ones: pytest --hypothesis-profile=default.
 settings.register_profile("same", derandomize=True)
@@ -23,10 +38,7 @@ settings.load_profile("same")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """All processes of the session share one cache of compiled code, empty at its start.
-
-    Compiling an energy takes longer than most tests that use it; `compiled` and `compile_cache` turn it on.
-    """
+    """All processes of the session share one cache of compiled code, empty at its start."""
     os.environ.setdefault(COMPILE, "never")
     gc.disable()  # modules and items of a collection are not garbage; a third of its time
     config.option.loadscopereorder = False  # else files of few tests, some of which are long, come last
@@ -66,17 +78,31 @@ def camera() -> Camera:
     return planted.camera()
 
 
-@pytest.fixture(scope="module")
-def compiled() -> Iterator[None]:
-    """Compilation turned on for the tests of a module."""
+@pytest.fixture(scope="session", autouse=True)
+def usual_energy() -> Iterator[None]:
+    """The energy of most tests is compiled; compiling another one takes longer than the tests that use it.
+
+    Energies are kept: were it left to the tests, that which comes first in its process would decide for all others.
+    """
+    made = fragment._functions
+
+    def functions(name: str, own: tuple[Term, ...], *how: Any) -> fragment.FragmentFunctions:
+        with pytest.MonkeyPatch.context() as patch:
+            if len(own) == 8 and {*USUAL} < {*own}:
+                patch.delenv(COMPILE, raising=False)
+                patch.setattr(c_compiler._log, "disabled", True)
+            return made(name, own, *how)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.delenv(COMPILE, raising=False)
+        patch.setattr(fragment, "_functions", functions)
+        patch.setattr(banded, "_code", lambda: banded._opened(cache_folder()))
         yield
 
 
 @pytest.fixture
-def compile_cache(compiled: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def compile_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache of compiled functions, not created yet; compilation is turned on."""
     folder = tmp_path / "cache"
+    monkeypatch.delenv(COMPILE, raising=False)
     monkeypatch.setenv(CACHE, str(folder))
     return folder

@@ -36,7 +36,7 @@ from rtof_kin.solve.settings import CartesianSettings
 
 NAMES = SkeletonModel.default().names
 MODES = ("lift", "rto", "sf2", "rtof")
-WALKING = tc.take("S1", "walking2", noisy=True)
+WALKING = tc.take("S1", "walking2", noisy=True, frames=45)
 ACTING = tc.take("S5", "acting3", noisy=True, frames=36)
 """Takes of different length."""
 

@@ -1,15 +1,10 @@
-"""The planted recording of the tests of the stages, and the energy of a camera and eight sensors, compiled once."""
+"""The planted recording of the tests of the stages."""
 
 from __future__ import annotations
 
 import planted
 import pytest
 from reconstruction_support import BODY, FRAMES, Case
-
-
-@pytest.fixture(scope="module", autouse=True)
-def usual_energy(compiled: None) -> None:
-    """Compile; tests of other energies turn it off, as they have them for themselves."""
 
 
 @pytest.fixture(scope="session")

@@ -131,7 +131,6 @@ def test_the_motion_is_the_same_with_and_without_a_certificate(case: Case, certi
 
 
 def test_a_second_camera_is_left_out_and_its_points_are_predicted(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     monkeypatch.setattr(module, "LEAST_SECONDS", 0.5)
     case = replace(case, recording=case.recording.between(0.0, 0.7))
     video, half_turn = case.recording.video, so3.about_axis("z", np.pi)

@@ -58,8 +58,6 @@ def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
 @pytest.mark.parametrize("mode", ["rtof", "imu"])
 def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(self_calibration, "find_offset", lambda _: ClockOffset())  # of other excerpts, 2 ms apart
-    if mode == "imu":
-        monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     demo = demo.between(0.0, 6.5)
     whole = reconstruct(demo, mode=mode)
     parts = list(reconstruct_in_parts(demo, mode=mode, seconds=SECONDS))

@@ -135,9 +135,8 @@ def test_the_motion_shows_bones_of_another_person_and_those_of_the_right_one(sil
 
 
 def test_sensors_and_floor_show_a_body_of_another_size_where_the_height_is_not_given(
-    silent: tuple[Motion, Recording], monkeypatch: pytest.MonkeyPatch
+    silent: tuple[Motion, Recording],
 ) -> None:
-    monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     large = file_of(person(0).with_height(1.15 * person(0).height))
     assert "accelerations are those of a body 0.9" in compared(silent, large).doubt
     right, words = file_of(person(0)), r"the feet stand 0\.3\d m over the floor, unless that is wrong"

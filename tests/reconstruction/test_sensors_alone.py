@@ -50,11 +50,6 @@ def shift(result: Reconstruction, motion: Motion) -> Array:
     return np.asarray((own - own[0]) - (true - true[0]))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def usual_energy() -> None:
-    """Interpret: there are three others here."""
-
-
 @pytest.fixture(scope="module")
 def walk() -> Motion:
     return planted.walking(BODY, 2.5)[0]

@@ -58,10 +58,11 @@ def test_unnamed_sensors_without_a_video_need_a_map(files: tuple[Path, Path], tm
 
 
 def test_run_takes_sensors_alone_from_files_to_a_report(
-    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    worn: Worn, files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from rtof_kin.cli import main
 
+    files = write_sensors(tmp_path / "sensors.csv", worn.imus[:210]), files[1]
     out, names = tmp_path / "out", np.array(SkeletonModel.default().names)
     np.savez(tmp_path / "nobody.npz", times=np.arange(300) / 60, names=names, p_world=np.zeros((300, len(names), 3)))
     line = ["run", *map(str, files), "--height", "1,72", "--no-figures", "-o", str(out)]

@@ -24,7 +24,7 @@ from rtof_kin.solve.settings import JointSpaceSettings
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
 FRAMES = 12
-SETTINGS = JointSpaceSettings(floor_height=0.0, sigma_floor=0.03, compile="never")
+SETTINGS = JointSpaceSettings(floor_height=0.0, sigma_floor=0.03)
 OPEN = {
     "delay": {"sigma_delay": 0.05},
     "heading": {"sigma_heading": 0.1},
