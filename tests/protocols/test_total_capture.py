@@ -59,12 +59,9 @@ class Found:
     document: Any = None
 
     def run(self, root: Path, **changed: Any) -> Measured:
-        """Measure both takes from camera 1 in every mode, with everything that is written.
-
-        In the space whose problems need not be compiled.
-        """
+        """Measure both takes from camera 1 in every mode, with everything that is written."""
         settings = {"subjects": ("s1", "s5"), "takes": ("Walking2", "acting3"), "cameras": (1,), "studies": False}
-        settings |= {"space": "cartesian", "save": self.save} | changed
+        settings |= {"save": self.save} | changed
         return run("total-capture", root, self.out, workers=1, json_file=self.json, **settings)
 
 
@@ -248,7 +245,7 @@ def test_a_second_run_measures_nothing_and_other_settings_are_refused(
     monkeypatch.setattr(total_capture, "_reference", None)
     measured.run(root)
     with pytest.raises(OutputExistsError, match=r"other settings \(noise_px, seed, sensors, space\)"):
-        measured.run(root, sensors=("10",), noise_px=2.0, seed=5, space="joint")
+        measured.run(root, sensors=("10",), noise_px=2.0, seed=5, space="cartesian")
     assert (measured.json.read_bytes(), (measured.out / "tables.md").read_bytes()) == before
 
 
