@@ -45,7 +45,7 @@ def test_a_reference_says_who_is_in_it_and_who_is_not(cli: Any, healthy: Path, t
     done = cli.ok("gait-reference", healthy, "-o", tmp_path / "own.json", *TERMS)
     done.says("reference of 6 people at 1.0", "left out: squats: ", "fewer than 10 people")
     data = json.loads((tmp_path / "own.json").read_text())
-    assert [one["person"] for one in data["curves"]] == [f"P{k}" for k in range(6)] or data["people"] == 6
+    assert [one["person"] for one in data["curves"]] == [f"P{k}" for k in range(6)]
     assert sum(data["curves"][0]["strides"]) > sum(data["curves"][1]["strides"])
     assert cli("gait-reference", healthy, "-o", tmp_path / "own.json", *TERMS).code == 2
 
@@ -94,5 +94,5 @@ def test_compare_writes_spm(cli: Any, healthy: Path, tmp_path: Path) -> None:
     assert data["angles"][0]["clusters"]
     assert (tmp_path / "out" / "spm.png").exists()
     alike = cli("compare", healthy / "r0", healthy / "r5", "--by", "cycle", "--spm")
-    assert "no angle can be tested" in alike.out or "SPM not computed" in alike.out
+    assert "no angle can be tested" in alike.out
     assert "--by cycle" in cli.refused("compare", healthy / "r0", healthy / "r5", "--by", "range", "--spm").err

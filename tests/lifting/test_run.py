@@ -209,7 +209,7 @@ def test_validation_takes_a_twentieth_of_the_time(
     monkeypatch.setattr("lifting.training.run.time.perf_counter", lambda: float(next(seconds)))
     monkeypatch.setattr("lifting.training.run.Validation.measure", lambda *_: [next(seconds) for _ in range(4)] and {})
     reports: list[dict[str, Any]] = []
-    config = replace(QUICK, windows=16 * 400, validations=20)
+    config = replace(QUICK, windows=16 * 250, validations=20)
     train(config, corpus, tmp_path / "lifter.npz", reports.append)
     made = [report["seconds"] for report in reports if "validation" in report]
     assert 3 <= len(made) < 12

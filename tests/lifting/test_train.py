@@ -62,7 +62,7 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
     )
     config = replace(
         QUICK,
-        windows=38_400,
+        windows=32_000,
         batch=128,
         channels=64,
         learning_rate=1e-2,

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from jsonschema import Draft202012Validator
 from schema_recordings import RECORDINGS
 
 from docs.recording_fields import inlined_schema, schema_text
@@ -24,6 +23,13 @@ from rtof_kin.recording.tables import SCHEMA, RecordingTable
 DELETED = object()
 VALUES = (DELETED, "text", True, 3, 1.5, -1, math.nan, datetime.date(2026, 1, 31), [], ["a"], [1.0], {}, [{}])
 NODE = inlined_schema(RecordingTable)
+
+
+def validator_class() -> Any:
+    """That of the schema's draft; loading it takes a second, which not every process of the tests needs."""
+    from jsonschema import Draft202012Validator
+
+    return Draft202012Validator
 
 
 def index_of(name: str) -> dict[str, Any]:
@@ -66,7 +72,7 @@ def refusal(index: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_editors_refuse_nothing_that_is_read_and_wrong_fields_raise_one_error(name: str) -> None:
-    validator = Draft202012Validator(NODE)
+    validator = validator_class()(NODE)
     RecordingTable.of(index_of(name), Path(INDEX))
     for index in changed(name):
         if refused := refusal(index):
@@ -87,7 +93,7 @@ def fields_of(node: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict
 
 def test_the_shipped_schema_is_that_of_the_tables_and_says_what_every_field_is() -> None:
     assert SCHEMA.read_text(encoding="utf-8") == schema_text(), "run python -m docs.recording_fields"
-    Draft202012Validator.check_schema(json.loads(schema_text()))
+    validator_class().check_schema(json.loads(schema_text()))
     fields = dict(fields_of(NODE))
     assert [name for name, one in fields.items() if not (name.endswith("*") or one.get("description"))] == []
     assert fields[".schema_version"]["const"] == SCHEMA_VERSION
