@@ -86,12 +86,12 @@ def usual_energy() -> Iterator[None]:
     """
     made = fragment._functions
 
-    def functions(name: str, own: tuple[Term, ...], *how: Any) -> fragment.FragmentFunctions:
+    def functions(name: str, own: tuple[Term, ...], moving: tuple[str, ...], hinges: bool, *how: Any) -> Any:
         with pytest.MonkeyPatch.context() as patch:
-            if len(own) == 8 and {*USUAL} < {*own}:
+            if len(own) == 8 and {*USUAL} < {*own} and hinges:
                 patch.delenv(COMPILE, raising=False)
                 patch.setattr(c_compiler._log, "disabled", True)
-            return made(name, own, *how)
+            return made(name, own, moving, hinges, *how)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fragment, "_functions", functions)
