@@ -161,8 +161,8 @@ def test_minutes_end_a_training(corpus: Corpus, tmp_path: Path) -> None:
     reports: list[dict[str, Any]] = []
     config = replace(QUICK, windows=None, minutes=0.01)
     train(config, corpus, tmp_path / "lifter.npz", reports.append)
-    assert reports[-1]["share_done"] == 1.0
-    assert 0.6 <= reports[-1]["seconds"] < 3.8
+    assert "validation" in reports[-1]  # whose time counts too
+    assert 0.3 < reports[-1]["seconds"] < 3.8
 
 
 @pytest.mark.parametrize(
