@@ -1,4 +1,4 @@
-"""A planned recording of two seconds of the demo's movement."""
+"""A planned recording of more than a second of the demo's movement."""
 
 from __future__ import annotations
 
@@ -17,6 +17,6 @@ def setup() -> Setup:
     """As the demo was recorded, with the eight sensors of the limbs."""
     demo = Recording.load(model_path("demo"))
     assert demo.truth is not None
-    poses = demo.truth[:110]
+    poses = demo.truth[:80]
     poses = replace(poses, times=poses.times - poses.times[0])
     return Setup(poses, demo.skeleton, demo.video.camera, LIMB_SENSORS)

@@ -346,8 +346,8 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert recording.imus is not None
     recording = replace(recording, imus=recording.imus.select(recording.imus.names[:2]))
     built = fragment_energy._frame_energy.cache_info().misses
-    lifter = planted.PlantedLifter(truth)
-    study = study_sensors(recording, lifter=lifter, folder=tmp_path)
+    how: Any = {"lifter": planted.PlantedLifter(truth), "settings": ReconstructionSettings(frames=16)}
+    study = study_sensors(recording, **how, folder=tmp_path)
     assert fragment_energy._frame_energy.cache_info().misses <= built + 1  # all sets share one compiled problem
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
@@ -358,19 +358,18 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     # A set is measured as by itself: what the runs share changes no number.
     alone = replace(recording, imus=recording.imus.select(study.path[1].sensors))
-    full = clinical_angles(reconstruct(recording, lifter=lifter).motion).select(study.angles)
-    found = clinical_angles(reconstruct(alone, lifter=lifter).motion).select(study.angles)
-    again = measure_set(study.path[1].sensors, found, full, None)
-    np.testing.assert_allclose(again.difference, study.path[1].difference, atol=1e-9)
+    full = clinical_angles(reconstruct(recording, **how).motion).select(study.angles)
+    found = clinical_angles(reconstruct(alone, **how).motion).select(study.angles)
+    same = measure_set(study.path[1].sensors, found, full, None)
+    np.testing.assert_allclose(same.difference, study.path[1].difference, atol=1e-9)
 
     # In processes of its own, a study has the same numbers.
     monkeypatch.setattr(sensor_runs, "_START", 0.0)
     for path in tmp_path.glob("[01][01].*"):
         if path.stem != "11":
             path.unlink()
-    assert (
-        document(study_sensors(recording, lifter=lifter, folder=tmp_path, workers=2)).plain() == document(study).plain()
-    )
+    again = study_sensors(recording, **how, folder=tmp_path, workers=2)
+    assert document(again).plain() == document(study).plain()
 
 
 def test_identity_of_a_study_depends_on_the_data_and_the_settings() -> None:
