@@ -186,6 +186,8 @@ def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngle
         sigma[np.isnan(values)] = np.nan
     reliable, note = reliable_samples(table, found.times, found.too_fast, sigma, np.isfinite(values))
     notes = (*_notes(table, values, provenance), *([note] if note else []))
+    for array in (values, provenance, singular, reliable, *(() if sigma is None else (sigma,))):
+        array.setflags(write=False)  # shared, not copied
     return ClinicalAngles(found.times, values, provenance, singular, table.rows, notes, sigma, reliable)
 
 

@@ -20,11 +20,12 @@ Shape = Sequence[int | str]  #: Lengths of the axes; a letter matches any length
 
 
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
-    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``; `ShapeError` where the
-    value is not numeric or its shape differs.
+    """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``, or the array itself
+    where nobody can write to it; `ShapeError` where the value is not numeric or its shape differs.
     """
+    shared = type(value) is np.ndarray and value.base is None and not value.flags.writeable
     try:
-        array = np.array(value, dtype=dtype)
+        array = np.asarray(value, dtype=dtype) if shared else np.array(value, dtype=dtype)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{field}: not an array of numbers ({error})") from error
     fits = array.ndim == len(shape) and all(
