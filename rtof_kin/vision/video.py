@@ -91,7 +91,8 @@ def detect_video(
                 people.append(seen)
                 times.append(frame.time)
                 if progress is not None:
-                    progress("detect", frame.index + 1, max(frame.total, frame.index + 1))
+                    total = max(frame.total, frame.index + 1)
+                    progress("detect", min(frame.index + every, total), total)
         except KeyboardInterrupt:
             if not isinstance(source, int) or not times:
                 raise

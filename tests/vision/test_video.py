@@ -65,7 +65,9 @@ def test_a_video_gives_points_with_its_times(film: tuple[Path, Array], folder: P
     np.testing.assert_allclose(found.times, np.arange(10) / RATE, atol=2e-3)
     assert told == [("detect", i + 1, 10) for i in range(10)]
     assert len(video.detect_video(path, folder, seconds=0.1)) == 3
-    third = video.detect_video(path, folder, every=3)
+    told.clear()
+    third = video.detect_video(path, folder, every=3, progress=lambda *args: told.append(args))
+    assert told == [("detect", done, 10) for done in (3, 6, 9, 10)]
     np.testing.assert_array_equal(third.uv_px, found.uv_px[::3])
     np.testing.assert_array_equal(third.times, found.times[::3])
     with pytest.raises(InvalidInputError, match="every: 0"):
