@@ -27,7 +27,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.motion_source import BLOCK, MotionSource
 from rtof_kin.body.observability import NOTHING, WHOLE, ObservationMasks
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.soles import FEET, floor_levels, sole_points
@@ -347,11 +347,16 @@ class RobotMotion:
         ``robot_qpos.npz`` for MuJoCo, see `write_qpos`, ``retarget.json`` with the figures, and with the extra connect
         ``robot.mcap``, over existing files.
         """
-        angles, robot = self.q[:, 7:], self.robot
+        robot, angles, seconds = self.robot, self.q[:, 7:], self.times - self.times[0]
         rates = np.gradient(angles, self.times, axis=0) if len(angles) > 1 else np.zeros_like(angles)
-        rows = [*zip(map(ros_time, self.times - self.times[0]), self.q.tolist(), rates.tolist(), strict=True)]
-        states = ({"positions": q[7:], "velocities": v, "time_from_start": time} for time, q, v in rows)
-        bases = ({"transforms": [ros_transform(q)], "time_from_start": time} for time, q, _ in rows)
+        states = (
+            {"positions": q.tolist(), "velocities": v.tolist(), "time_from_start": ros_time(time)}
+            for time, q, v in zip(seconds, angles, rates, strict=True)
+        )
+        bases = (
+            {"transforms": [ros_transform(q.tolist())], "time_from_start": ros_time(time)}
+            for time, q in zip(seconds, self.q, strict=True)
+        )
         write_message(folder / "robot_joint_trajectory.json", robot.joints, states)
         write_message(folder / "robot_base_trajectory.json", [robot.root], bases)
         write_qpos(folder / "robot_qpos.npz", self.times, self.q, robot.joints)
@@ -372,10 +377,12 @@ class RobotMotion:
 
         pairs = [(above(i), i) for i, one in enumerate(model.frames) if one.type == pin.FrameType.BODY]
         names = [(model.frames[a].name if a else WORLD_FRAME, model.frames[i].name) for a, i in pairs]
-        placed = np.empty((len(self.q), len(pairs), 7))
-        for q, rows in zip(self.q, placed, strict=True):
-            pin.framesForwardKinematics(model, data, q)
-            rows[:] = [pin.SE3ToXYZQUAT(data.oMf[a].actInv(data.oMf[i])) for a, i in pairs]
         path.unlink(missing_ok=True)
         with RosLog(path, self.robot.urdf.read_text(encoding="utf-8"), self.robot.joints, names) as log:
-            log.write(self.times - self.times[0], self.q[:, 7:], placed[..., :3], placed[..., 3:])
+            for start in range(0, len(self.q), BLOCK):
+                own = slice(start, start + BLOCK)
+                placed = np.empty((len(self.q[own]), len(pairs), 7))
+                for q, rows in zip(self.q[own], placed, strict=True):
+                    pin.framesForwardKinematics(model, data, q)
+                    rows[:] = [pin.SE3ToXYZQUAT(data.oMf[a].actInv(data.oMf[i])) for a, i in pairs]
+                log.write(self.times[own] - self.times[0], self.q[own, 7:], placed[..., :3], placed[..., 3:])
