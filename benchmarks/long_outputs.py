@@ -1,7 +1,8 @@
-"""Memory and time of `analyse`, `report` and `export` on motions of a minute and an hour.
+"""Memory and time of the commands that take a motion, on motions of a minute and an hour.
 
-The motion is that of a folder, at 60 Hz with 8 sensors, repeated forth and back. Each command runs in a
-process of its own; times are of the processor. An hour may cost 60 times as much as a minute.
+The motion is that of a folder with its measurements, at 60 Hz with 8 sensors, repeated forth and back. Each command
+runs in a process of its own; times are of the processor. An hour may cost 60 times as much as a minute, and at most
+`MOST_MB`, else the exit code is 1. Recordings are made by `long_recording`: ``--recording FOLDER`` inspects one.
 """
 
 from __future__ import annotations
@@ -13,14 +14,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.body.motion_file import COVARIANCES, MOTION, MotionWriter
 from rtof_kin.body.skeleton import Motion
+from rtof_kin.data.keypoints import Measurements
+from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter, measurements_path, read_measurements
 
 RATE_HZ: Final = 60
 BLOCK: Final = 3600
@@ -33,11 +36,18 @@ POSES: Final = (
     "direction_observed",
     "sigma_rad",
 )
+MOST_MB: Final = 700.0  #: [MB] most memory of a command and of the processes it starts, each
+FORMATS: Final = ("csv,parquet,ros", "npz", "osim,mot,sto,trc", "c3d", "bvh,bvh-lafan1", "mjcf", "glb", "rrd", "mcap")
+MOTION_FOLDER, RECORDING, OUTPUT = "MOTION", "RECORDING", "OUTPUT"  #: What they stand for in `COMMANDS`
 COMMANDS: Final = {
-    "analyse": ("report", "--weight", "70", "--analysis"),
-    "report": ("report", "--weight", "70"),
-    "export": ("export",),
-    "export, all formats but c3d": ("export", "--to", "csv,parquet,ros,osim,mot,sto,trc,bvh"),
+    "analyse": ("report", MOTION_FOLDER, "--weight", "70", "--analysis", OUTPUT),
+    "report": ("report", MOTION_FOLDER, "-o", OUTPUT),
+    "report with torques": ("report", MOTION_FOLDER, "--weight", "70", "-o", OUTPUT),
+    "inspect": ("inspect", MOTION_FOLDER),
+    "inspect the recording": ("inspect", RECORDING, "--all"),
+    "compare the sides": ("compare", MOTION_FOLDER, "--sides", "-o", OUTPUT),
+    "compare": ("compare", MOTION_FOLDER, MOTION_FOLDER, "-o", OUTPUT),
+    **{f"export {names}": ("export", MOTION_FOLDER, "-o", OUTPUT, "--to", names) for names in FORMATS},
 }
 
 
@@ -57,6 +67,20 @@ def repeated(motion: Motion, start: int, stop: int) -> Motion:
     return Motion(motion.skeleton, q, poses, motion.skeleton.check(q), known)
 
 
+def repeated_measurements(given: Measurements, start: int, stop: int) -> Measurements:
+    """Return frames [start, stop) of measurements that go forth and back, as `repeated`."""
+    T = len(given.times)
+    frames = np.concatenate([np.arange(T), np.arange(T - 2, 0, -1)])[np.arange(start, stop) % (2 * T - 2)]
+
+    def rows(record: Any) -> Any:
+        own = {one.name: getattr(record, one.name) for one in fields(record) if one.name != "times"}
+        own = {name: array[frames] for name, array in own.items() if np.shape(array)[:1] == (T,)}
+        return replace(record, times=np.arange(start, stop) / RATE_HZ, **own)
+
+    truth = None if given.truth is None else rows(given.truth)
+    return replace(rows(given), views=tuple(map(rows, given.views)), truth=truth)
+
+
 def write_repeated(path: Path, motion: Motion, minutes: float) -> None:
     """Write a longer motion.
 
@@ -69,18 +93,18 @@ def write_repeated(path: Path, motion: Motion, minutes: float) -> None:
             writer.append(repeated(motion, start, min(start + BLOCK, frames)))
 
 
-def measured(command: tuple[str, ...], folder: Path, output: Path) -> dict[str, float]:
+def measured(command: tuple[str, ...], output: Path, **paths: Path | None) -> dict[str, float]:
     """Return processor time, s, peak resident memory, MB, and size of the output, MB, of a command.
 
     Args:
-        command: name and options. folder: of the motion. output: to write.
+        command: name and options. output: to write. paths: by `MOTION_FOLDER` and `RECORDING`.
     """
-    name, *options = command
+    paths[OUTPUT] = output
     code = "import sys; from rtof_kin.cli import main; sys.exit(main(sys.argv[1:]))"
-    arguments = [name, str(folder), "-o", str(output), *options]
+    arguments = [str(paths.get(word, word)) for word in command]
     process = subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
-    if status:
+    if os.waitstatus_to_exitcode(status) not in (0, 1):  # 1: a check of inspect does not hold
         raise RuntimeError(f"{' '.join(arguments)}: failed")
     files = [output] if output.is_file() else [path for path in output.rglob("*") if path.is_file()]
     return {
@@ -97,7 +121,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, nargs="+", default=[1, 60])
     parser.add_argument("--only", choices=[*COMMANDS], nargs="+", default=[*COMMANDS])
     parser.add_argument("--keep", type=Path, help="folder of the long motions, to use them again")
+    parser.add_argument("--recording", type=Path, help="folder of long_recording, as long as the longest motion")
     options = parser.parse_args()
+    most = 0.0
     with tempfile.TemporaryDirectory() as temporary:
         for minutes in options.minutes:
             folder = (options.keep or Path(temporary)) / f"{minutes:g}_minutes"
@@ -105,14 +131,23 @@ def main() -> None:
                 folder.mkdir(parents=True)
                 shutil.copy(options.motion / "summary.json", folder)
                 write_repeated(folder / MOTION, Motion.load(options.motion), minutes)
+                given = read_measurements(measurements_path(options.motion))
+                with MeasurementsWriter(folder / MEASUREMENTS) as writer:
+                    for start in range(0, round(60 * RATE_HZ * minutes), BLOCK):
+                        stop = min(start + BLOCK, round(60 * RATE_HZ * minutes))
+                        writer.append(repeated_measurements(given, start, stop))
             for name in options.only:
+                if RECORDING in COMMANDS[name] and (options.recording is None or minutes < max(options.minutes)):
+                    continue
                 output = Path(temporary) / "output"
-                found = measured(COMMANDS[name], folder, output)
+                found = measured(COMMANDS[name], output, MOTION=folder, RECORDING=options.recording)
+                most = max(most, found["peak_mb"])
                 print(json.dumps({"minutes": minutes, "command": name} | found), flush=True)
                 if output.is_dir():
                     shutil.rmtree(output)
-                else:
-                    output.unlink()
+                output.unlink(missing_ok=True)
+    if most > MOST_MB:
+        sys.exit(f"{most:.0f} MB are more than {MOST_MB:g}")
 
 
 if __name__ == "__main__":

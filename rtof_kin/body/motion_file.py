@@ -127,9 +127,10 @@ def packed(entries: Array) -> NDArray[np.float32]:
 
 
 def matrices(entries: Array | NDArray[np.float32]) -> Array:
-    """Return matrices (..., 3, 3). entries: (..., 6)."""
+    """Return matrices (..., 3, 3), read-only. entries: (..., 6)."""
     out = np.empty((*entries.shape[:-1], 3, 3))
     out[..., ROWS, COLUMNS] = out[..., COLUMNS, ROWS] = entries
+    out.setflags(write=False)
     return out
 
 

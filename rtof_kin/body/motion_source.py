@@ -9,6 +9,7 @@ from typing import Final, Self
 from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.corrections import Correction
 
@@ -118,5 +119,7 @@ class MotionSource(Sampled):
             if self._masks is None:
                 parts.append(ObservationMasks.of(block.motion)[block.own])
             yield block
+            del motion, block  # before the next one is read
+            return_free_memory()
         if self._masks is None:
             self._masks = ObservationMasks.joined(parts)

@@ -6,7 +6,7 @@ import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -15,6 +15,8 @@ from rtof_kin.cli.terminal import line, out, print_files, say
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import check_new_file, new_file
 from rtof_kin.core.packages import optional
+
+_ENOUGH_S: Final = 180.0  #: [s] of a recording by which the places of its sensors are judged
 
 
 @command
@@ -87,36 +89,41 @@ def _declaration(text: str) -> tuple[str, Any]:
 
 
 def _with_places(found: Any) -> tuple[Any, Any]:
-    """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
+    """Add the check of where a recording's sensors are; with the corrected calibration, if any is wrong."""
     from rtof_kin.calibration.assignment import NAME
     from rtof_kin.core.checks import Check
     from rtof_kin.reconstruction.checks.sensors import check_recording
-    from rtof_kin.recording.recording import Recording
+    from rtof_kin.recording.recording import RecordingReader
 
     if found.title != "recording" or found.log is None:
         return found, None
-    recording = Recording.load(found.path)
-    if recording.calibration is None:
-        return found, None
+    with RecordingReader.open(found.path) as reader:
+        if reader.facts.calibration is None:
+            return found, None
+        start, cut = reader.start_s, reader.stop_s - reader.start_s > _ENOUGH_S
+        recording = reader.between(start, start + _ENOUGH_S) if cut else reader.whole()
     try:
         places, corrected = check_recording(recording)
     except RtofError as error:
         check = Check.unknown(NAME, "sensors", "", str(error))
         return replace(found, checks=(*found.checks, check)), None
-    notes = (f"sensors: {places.doubt}",) if places.doubt else ()
+    notes = [f"sensors: {places.doubt}"] if places.doubt else []
+    notes += [f"sensors: their places are judged by the first {_ENOUGH_S:g} s"] if cut else []
     found = replace(found, checks=(*found.checks, places.check()), notes=(*found.notes, *notes))
-    return found, corrected if places.wrong else None
+    return found, corrected.calibration if places.wrong else None
 
 
-def _fix(found: Any, corrected: Any, target: Path) -> None:
+def _fix(found: Any, calibration: Any, target: Path) -> None:
+    from rtof_kin.recording.recording import Recording
+
     if found.title != "recording":
         raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
-    if corrected is None:
+    if calibration is None:
         text = "no sensor is found elsewhere: there is nothing to correct, and nothing was written"
         say(text)
         return
-    corrected.save(target)
-    places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
+    replace(Recording.load(found.path), calibration=calibration).save(target)
+    places = zip(calibration.sensors, calibration.joints, strict=True)
     say(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}")
 
 

@@ -22,6 +22,7 @@ from rtof_kin.clinical.repetitions import KINDS, RepetitionAnalysis, find_repeti
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.choices import Repeated
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.packages import optional
 
@@ -118,7 +119,7 @@ def analyse(
         reaction = ground_reaction(torques, contacts, paths)
     heading = angles.names.index("pelvis_rotation")
     heading_sigma = None if angles.sigma is None else angles.sigma[:, heading]
-    return MotionAnalysis(
+    found = MotionAnalysis(
         paths.table,
         angles,
         ranges_of_motion(angles),
@@ -130,3 +131,5 @@ def analyse(
         reaction,
         paths,
     )
+    return_free_memory()  # that an hour needed on the way
+    return found

@@ -119,8 +119,11 @@ class ClinicalAngles(Sampled):
     def select(self, names: Sequence[str]) -> Self:
         """Return some of the angles."""
         index = indices_of("clinical angle", names, self.names)
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        chosen: dict[str, Any] = {name: None if array is None else array[:, index] for name, array in arrays.items()}
+        chosen: dict[str, Any] = dict.fromkeys(_ARRAYS)
+        for name in _ARRAYS:
+            if (array := getattr(self, name)) is not None:
+                chosen[name] = np.array(array[:, index])
+                chosen[name].setflags(write=False)  # shared, not copied
         return replace(self, rows=tuple(self.rows[i] for i in index), **chosen)
 
 

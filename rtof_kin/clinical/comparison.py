@@ -23,7 +23,6 @@ from typing import Final, Literal
 import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.agreement import Agreement, agreement_of
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
@@ -37,6 +36,7 @@ from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.formats.motion_views import AnyMotion
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ class Comparison:
         return bool(max(map(abs, every)) < _SAME)
 
 
-def compared(name: str, motion: Motion, recording: str = "") -> Compared:
-    """Return a motion with its angles, strides and repetitions."""
+def compared(name: str, motion: AnyMotion, recording: str = "") -> Compared:
+    """Return a motion, read in blocks, with its angles, strides and repetitions."""
     (angles,), paths = angles_and_paths(MotionSource.of(motion), angle_table(motion.skeleton.table))
     found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))
     return replace(found, repetitions=repetition_spans(paths, angles), recording=recording)
@@ -225,11 +225,16 @@ def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list
     return spans
 
 
-def sides_of(one: Compared) -> tuple[Compared, Compared]:
-    """Return the left and the right side of a motion, with the names of angles without the side."""
+def sides_of(one: Compared, names: Sequence[str] = ()) -> tuple[Compared, Compared]:
+    """Return the left and the right side of a motion, with the names of angles without the side; without those that
+    neither has, unless they are among `names`.
+    """
+    known = [one.angles.names[i] for i in np.flatnonzero(one.angles.known.any(axis=0))]
+    kept = {angle.removeprefix(f"{side}_") for side in SIDES for angle in known if angle.startswith(side)} | {*names}
 
     def side(name: str) -> Compared:
-        own = one.angles.select([angle for angle in one.angles.names if angle.startswith(f"{name}_")])
+        angles = [angle for angle in one.angles.names if angle.startswith(f"{name}_")]
+        own = one.angles.select([angle for angle in angles if angle.removeprefix(f"{name}_") in kept])
         rows = tuple(replace(row, name=row.name.removeprefix(f"{name}_")) for row in own.rows)
         strides = {"": one.strides.get(name, [])}
         return replace(one, name=name, angles=replace(own, rows=rows), strides=strides, made=None)
@@ -260,7 +265,7 @@ def compare(
     left_out = _left_out(a, b, by, names)
     chosen = [n for n in (names or a.angles.names) if n in common_angles(a, b) and n not in left_out]
     if by == "range":
-        rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles.select(chosen))]
+        rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles, chosen)]
         left_out |= {row.name: f"{name}: {why}" for name, row in rows if (why := row.why_not_comparable)}
         chosen = [name for name in chosen if name not in left_out]
     axis, pairs = _pairs(a, b, by, chosen, shift, kind)
@@ -417,7 +422,7 @@ def compare_sides(
     Args:
         names, kind: see `compare`.
     """
-    left, right = sides_of(one)
+    left, right = sides_of(one, names)
     if by is not None:
         choice = _requested(left, right, by)
     elif not one.not_gait and min(map(len, one.strides.values()), default=0) >= _LEAST_REPEATS:

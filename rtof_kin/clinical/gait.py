@@ -320,10 +320,10 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     """
     times, max_gap = angles.times, 1.5 / angles.rate_hz
     sampled: dict[str, list[Array]] = {side: [] for side in SIDES}
-    headings, trusted = [row.about_vertical for row in angles.rows], angles.trusted_values
+    headings = [row.about_vertical for row in angles.rows]
     for s in gait.counted:
         own, at = s.frames(times), s.start + PHASES * s.stride_time
-        values = trusted[own].copy()
+        values = np.where(angles.is_trusted(own), angles.values[own], np.nan)
         turned = np.nan_to_num(stride_shape(s, gait.events).turn) * ((times[own] - s.start) / s.stride_time - 0.5)
         ahead = progression(s, gait.events) + turned
         values[:, headings] = (values[:, headings] - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi

@@ -23,6 +23,7 @@ FOCAL, FOCAL_FACTOR = 1.2, 5.0
 CENTRE, ASPECT = 7.0, 3.0
 """Largest offset of the principal point from the centre, % of the width; largest difference of the focal
 lengths, %."""
+_BLOCK: Final = 4096  #: Frames that are projected at once
 REPROJECTION_PX: Final = 20.0  #: Largest median reprojection error, px; detectors are off by up to 13 px
 UNITS_M: Final = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
 """Units of length, m."""
@@ -109,7 +110,10 @@ def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Seque
     name, where = "median reprojection error", "truth in the camera"
     common = [joint for joint in keypoints.names if joint in names]
     index = [list(names).index(joint) for joint in common]
-    error = np.linalg.norm(keypoints.select(common).uv_px - keypoints.camera.project(p_world[:, index]), axis=-1)
+    uv, blocks = keypoints.select(common).uv_px, range(0, len(keypoints), _BLOCK)
+    own = (p_world[start : start + _BLOCK, index] for start in blocks)
+    seen = np.concatenate([keypoints.camera.project(p) for p in own])
+    error = np.linalg.norm(uv - seen, axis=-1)
     error = error[np.isfinite(error)]
     if len(error) == 0:
         return Check.unknown(name, where, "px", "no joint is both known and seen")

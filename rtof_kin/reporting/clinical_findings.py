@@ -27,7 +27,7 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
     angles = analysis.angles
     shown = [a for a, row in enumerate(angles.rows) if not row.name.startswith(SECOND_PELVIS)]
     for a in shown:
-        known = angles.known[:, a]
+        known = np.isfinite(angles.values[:, a])
         if known.any():
             figure = (
                 "share of frames without an observation",
@@ -40,10 +40,10 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
     if angles.sigma is None:
         yield AuditResult.not_checked("angles", "95 % bands", NO_BANDS)
     else:
-        sigma = np.where(angles.known, angles.sigma, np.nan)
         for a in shown:
-            if np.isfinite(sigma[:, a]).any():
-                half = float(BAND_95 * np.degrees(np.nanmedian(sigma[:, a])))
+            sigma = angles.sigma[np.isfinite(angles.values[:, a]), a]
+            if np.isfinite(sigma).any():
+                half = float(BAND_95 * np.degrees(np.nanmedian(sigma)))
                 figure = ("half width of the 95 % band, median", angles.rows[a].label, half, "deg")
                 note = "low accuracy; a sensor on each of its two segments would improve it"
                 yield AuditResult("angles", *figure, *WIDEST, _USER, note)

@@ -177,11 +177,10 @@ def read_compared(path: str | Path) -> Compared:
         recording, mode, made = found.recording, found.mode, setup_of(found).made
         if found.certificate is not None:
             certified = found.certificate.sentences[:1]
-    with MotionReader(file) as reader:
-        motion, mode = reader.read(), mode or reader.mode
     named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
-    name = named.name + (f" ({mode})" if mode else "")
-    sides = clinical.compared(name, motion, recording)
+    with MotionReader(file) as reader:
+        mode = mode or reader.mode
+        sides = clinical.compared(named.name + (f" ({mode})" if mode else ""), reader, recording)
     return replace(sides, notes=(*sides.notes, *certified), made=made)
 
 

@@ -17,12 +17,14 @@ import numpy as np
 from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import Check
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.signals import interpolate, runs
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.asf_amc import read_asf_amc
@@ -36,7 +38,8 @@ from rtof_kin.inertial.laws import at_rest, rates_of_orientation
 from rtof_kin.inertial.physics import check_log
 from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import RecordingReader
+from rtof_kin.recording.streams import ALL
 from rtof_kin.reporting.document import ESTIMATE, TRUTH, subplots
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
@@ -149,45 +152,54 @@ def _with_body(found: Inspection, p: Array, bones: Bones, limit_mm: float = bodi
 
 def _recording(path: Path) -> Inspection:
     path = path.parent if path.name == INDEX and path.is_file() else path
-    recording = Recording.load(path)
-    keypoints, truth, imus = recording.keypoints, recording.truth, recording.imus
     contents: list[tuple[str, str]] = []
     checks: list[Check] = []
-    log = None
-    if keypoints is not None:
-        contents += [
-            ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
-            ("seen", f"{_percent(keypoints.seen)} of them"),
-            ("camera", _camera(keypoints.camera)),
-        ]
-        checks += bodies.check_camera("of the recording", keypoints.camera)
-    if imus is not None:
-        contents.append(("IMUs", f"{_span(imus.times)}: {', '.join(imus.names)}"))
-        log = SensorLog.of_imus(imus, path)
-        checks += check_log(log)
-    if truth is not None:
-        contents.append(("truth", f"{_span(truth.times)}: {len(truth.names)} joints"))
-        if keypoints is not None:
-            at = interpolate(truth.times, truth.p_world_joint, keypoints.times)
-            checks.append(bodies.check_reprojection(keypoints, at, truth.names))
-    found = Inspection(path, "recording", tuple(contents), tuple(checks), log=log)
-    if truth is None:
-        return found
-    bones = bodies.skeleton_bones(truth.names, recording.skeleton.parents)
-    return _with_body(found, truth.p_world_joint, bones)
+    log: SensorLog | None = None
+    keypoints: KeypointSequence | None = None
+    body = Inspection(path, "recording", ())
+    with RecordingReader.open(path) as reader:
+        streams, skeleton = reader.streams, reader.facts.skeleton
+        if streams.keypoints is not None:
+            keypoints = streams.keypoints.part(ALL)
+            contents += [
+                ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
+                ("seen", f"{_percent(keypoints.seen)} of them"),
+                ("camera", _camera(keypoints.camera)),
+            ]
+            checks += bodies.check_camera("of the recording", keypoints.camera)
+        if streams.truth is not None:  # before the sensors: an hour of each is large
+            times, p = streams.truth.times, np.concatenate([block.p_world_joint for block in streams.truth.blocks()])
+            if keypoints is not None:
+                at = interpolate(times, p, keypoints.times)
+                body = replace(body, checks=(bodies.check_reprojection(keypoints, at, skeleton.names),))
+                del at
+            body = _with_body(body, p, bodies.skeleton_bones(skeleton.names, skeleton.parents))
+            del p
+        keypoints = None
+        return_free_memory()
+        if streams.imus is not None:
+            imus = streams.imus.part(ALL)
+            contents.append(("IMUs", f"{_span(imus.times)}: {', '.join(imus.names)}"))
+            log = SensorLog.of_imus(imus, path)
+            del imus
+            checks += check_log(log)
+        if streams.truth is not None:
+            contents.append(("truth", f"{_span(streams.truth.times)}: {len(skeleton.names)} joints"))
+    return replace(body, contents=tuple(contents), checks=(*checks, *body.checks), log=log)
 
 
 def _motion(path: Path) -> Inspection:
     with MotionReader(path) as file:
-        poses, skeleton, mode = file.read(confidence=False).poses, file.skeleton, file.mode
-    bones = bodies.skeleton_bones(poses.names, skeleton.parents)
+        p = np.concatenate([block.motion.poses.p_world_joint for block in file.blocks()])
+        skeleton, mode, valid = file.skeleton, file.mode, file.masks.valid
+    bones = bodies.skeleton_bones(skeleton.names, skeleton.parents)
     contents = (
-        ("frames", _span(poses.times)),
-        ("skeleton", f"{skeleton.name}, {len(poses.names)} joints, {len(skeleton.dof_names)} angles"),
+        ("frames", _span(file.times)),
+        ("skeleton", f"{skeleton.name}, {len(skeleton.names)} joints, {len(skeleton.dof_names)} angles"),
         ("mode", mode or "not stated"),
-        ("valid", f"{_percent(poses.valid)} of the joints"),
+        ("valid", f"{_percent(valid)} of the joints"),
     )
-    return _with_body(Inspection(path, "reconstructed motion", contents), poses.p_world_joint, bones)
+    return _with_body(Inspection(path, "reconstructed motion", contents), p, bones)
 
 
 def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspection:

@@ -54,6 +54,7 @@ def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
 _CHUNK: Final = 1 << 16  #: [bytes] of a chunk at most, unless a row is larger
 _ROWS: Final = 512  #: Rows of a chunk at most
 _MOST_ARRAYS: Final = 1000
+_CACHE: Final = 2**20  #: [bytes] of an array that stay decompressed: it is read in order
 _LARGEST_WHOLE: Final = 512 * 2**20  #: [bytes] of an array that is read as a whole
 _FORMAT: Final = ("v110", "v110")
 """Oldest and newest version of the format in a file: with checksums of what is no array, too."""
@@ -230,7 +231,7 @@ class ArrayFile:
         else:
             check_file(path, "an HDF5 file")
             with self._reading():
-                self._file = h5py.File(path, "r", locking=False)
+                self._file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CACHE)
             try:
                 with self._reading():
                     self._look()
