@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import casadi as ca
+import joint_space_support as js
 import numpy as np
 import planted
 import pytest
@@ -18,12 +19,15 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.numerics import simd
+from rtof_kin.core.numerics.simd import GROUP, Columns, FrameFunction, Over
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve import terms
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.energy import Frame
+from rtof_kin.solve.joint_space.fragment import FragmentFunctions
 from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.terms import MotionTerm, ObservedTerm, PointData, PointTerm, Term, observed_rows
 
@@ -153,15 +157,29 @@ def test_the_hessian_of_terms_from_outside_is_that_of_gauss_and_newton() -> None
         assert d.ravel() @ H @ d.ravel() == pytest.approx(expected, rel=1e-5)
 
 
+def evaluated(code: Any, frame: FrameFunction, values: list[Array]) -> list[Array]:
+    """Outputs of a function for N frames; groups of placed ones side by side."""
+    columns, (*before, last) = Columns(N), frame.outputs
+    outputs = [columns.at(columns.zeros(n)) for n in before]
+    outputs += [np.zeros((N, last)) if frame.placed else columns.at(columns.zeros(last))]
+    inputs = [v if i in frame.shared else columns.at(columns.given(v)) for i, v in enumerate(values)]
+    Over(code, frame, N, inputs, outputs, np.arange(0, last, GROUP) if frame.placed else None)()
+    return outputs
+
+
 def test_terms_from_outside_are_compiled_as_they_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
     monkeypatch.setattr(simd, "_OPTIONS", ("-O0",))  # compiled quickly
-    (data, plain), (_, own) = observations("never"), observations("auto")
-    x = data.space.retract(data.start, 0.1 * np.random.default_rng(0).normal(size=(N, data.space.size)))
-    assert own.value(x)[0] == pytest.approx(plain.value(x)[0], rel=1e-9)
-    (_, g), (_, expected) = own.linearise(x), plain.linearise(x)
-    np.testing.assert_allclose(g, expected, atol=1e-9 * np.abs(expected).max())
-    np.testing.assert_allclose(own.hessian(), plain.hessian(), atol=1e-9 * np.abs(plain.hessian()).max())
+    own, plain = (FragmentFunctions.of(StateSpace(BODY, js.MOVING, True), EVERY, how) for how in ("auto", "never"))
+    assert set(own.code) == set(plain.frames)
+    assert not plain.code
+    for name, frame in plain.frames.items():
+        rng = np.random.default_rng(0)
+        values = [rng.uniform(0.1, 1.0, n if i in frame.shared else (N, n)) for i, n in enumerate(frame.inputs)]
+        pairs = zip(*(evaluated(code, frame, values) for code in (own.code[name], None)), strict=True)
+        for x, y in pairs:
+            assert np.isfinite(y).all()
+            np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 def test_frames_in_the_padding_have_no_observation() -> None:
