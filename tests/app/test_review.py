@@ -141,7 +141,7 @@ def solved(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: Any) -> dict
     monkeypatch.setattr(module, "end_with_parent", lambda: None)
     monkeypatch.setattr(module, "run", partial(run, mode="lift"))
     sender: Any = SimpleNamespace(send=sent.append)
-    module._reconstruct(str(folder), Store.change(folder, **values), sender)
+    module._reconstruct(str(folder), Store.change(folder, **values), sender, 1)
     assert sent[-1]["state"] in (State.DONE, State.ATTENTION), sent[-1]
     return {path.name: path.read_bytes() for path in (folder / "motion/motion.h5", *(folder / "angles").glob("*.csv"))}
 
