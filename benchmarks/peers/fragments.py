@@ -31,12 +31,10 @@ class Material:
 
     @classmethod
     def demo(cls) -> Material:
-        """The demo recording as it is given, not calibrated from itself, with SF2's poses."""
-        recording = Recording.load(model_path("demo"))
-        imus = recording.bone_imus()
-        assert imus is not None
-        start = reconstruct(recording, mode="sf2", calibrate=False).stages["sf2"]
-        return cls(recording.skeleton, start, recording.keypoints, imus)
+        """The demo recording, not calibrated from itself but for the clock of its video, with SF2's poses."""
+        found = reconstruct(Recording.load(model_path("demo")), mode="sf2")
+        assert found.bone_imus is not None
+        return cls(found.recording.skeleton, found.stages["sf2"], found.keypoints, found.bone_imus)
 
     def __getitem__(self, frames: slice) -> Material:
         return replace(self, start=self.start[frames], keypoints=self.keypoints[frames], imus=self.imus[frames])

@@ -20,7 +20,7 @@ from rich.progress import Progress
 from benchmarks.command_line import study_parser
 from benchmarks.harness import write_results
 from benchmarks.peers.fragments import Material
-from benchmarks.solvers.alone import build_times, by_duration, by_length, by_settings
+from benchmarks.solvers.alone import build_times, by_duration, by_length, by_sensors, by_settings
 from benchmarks.solvers.measuring import Effort, Notify
 from benchmarks.solvers.report import figure, markdown
 from benchmarks.solvers.side_by_side import N, cartesian, joint
@@ -35,6 +35,7 @@ def everything(effort: Effort, notify: Notify) -> dict[str, Any]:
         "by_length": by_length(material, effort, notify),
         "by_settings": by_settings(material, effort, notify),
         "build_seconds": build_times(material, effort, notify),
+        "by_sensors": by_sensors(material, effort, notify),
         "by_duration": by_duration(material, effort, notify),
     }
 

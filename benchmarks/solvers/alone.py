@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -87,6 +88,20 @@ def by_length(material: Material, effort: Effort, notify: Notify) -> list[dict[s
         inner = map(scene.fragment, spread(effort.slow_fragments + 2, frames, length)[1:-1])
         row["joint, IPOPT"] = frames / 2 / median(ipopt.solve(f).seconds for f in inner)
         rows.append(row)
+    return rows
+
+
+def by_sensors(material: Material, effort: Effort, notify: Notify) -> list[dict[str, Any]]:
+    """Time of a new frame with none to all of the sensors, those of the recording in their order."""
+    rows, m = [], material[: effort.frames]
+    for count in range(0, len(m.imus.joints) + 1, 2):
+        notify(f"{count} sensors")
+        worn = replace(m, imus=m.imus.select(m.imus.joints[:count]))
+        solver = FragmentSolver(m.skeleton, N, None, worn.imus.joints)
+        solver.solve(m.start[: N // 2 + 1], m.keypoints[: N // 2 + 1], worn.imus)  # builds and compiles
+        found = rate(solver, worn, effort)
+        kept = ("frames_per_second", "iterations_per_fragment", "converged", "fragments")
+        rows.append({"sensors": count, "us": 1e6 / found["frames_per_second"], **{name: found[name] for name in kept}})
     return rows
 
 

@@ -74,6 +74,8 @@ def markdown(result: dict[str, Any]) -> str:
         "seconds_per_second": ("s per s", ".3f"),
         "resident_growth_mb": ("resident memory grew by MB", ".1f"),
     }
+    sensors: Columns = {"sensors": ("sensors", ""), "us": ("us a new frame", ".0f")}
+    sensors |= {name: settings_columns[name] for name in ("iterations_per_fragment", "converged", "fragments")}
     builds = [{"how": name, "s": value} for name, value in result["build_seconds"].items()]
     filled = {
         "command": result["command"],
@@ -90,6 +92,7 @@ def markdown(result: dict[str, Any]) -> str:
         "agreement": "\n".join(_agreement_lines(j["agreement"])),
         "by_length": table(result["by_length"], lengths),
         "by_settings": table(result["by_settings"], settings_columns),
+        "by_sensors": table(result["by_sensors"], sensors),
         "builds": table(builds, _BUILDS),
         "by_duration": table(result["by_duration"], durations),
     }
@@ -144,6 +147,12 @@ Cartesian: the energy as printed; joint: the default settings (IPOPT: with sigma
 Median of at most {runs} runs over {frames} frames; gradients, in 1/m and 1/rad, are those at which the
 fragments stopped (with limits the Lagrangian's); build: until the first fragments are solved, in a
 process that may have built parts of it for rows above.
+
+## Number of sensors
+
+{by_sensors}
+
+From SF2's output, of the whole recording, to blended output; those of the recording, in its order.
 
 ## Building the problem
 
