@@ -345,10 +345,10 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     recording: Recording = replace(planted.recording(truth), joint_offsets=body.joint_offsets)
     assert recording.imus is not None
     recording = replace(recording, imus=recording.imus.select(recording.imus.names[:2]))
-    built = fragment_energy._frame_energy.cache_info().misses
+    built = fragment_energy._expressions.cache_info().misses
     how: Any = {"lifter": planted.PlantedLifter(truth), "settings": ReconstructionSettings(frames=16)}
     study = study_sensors(recording, **how, folder=tmp_path)
-    assert fragment_energy._frame_energy.cache_info().misses <= built + 1  # all sets share one compiled problem
+    assert fragment_energy._expressions.cache_info().misses <= built + 1  # all sets share one compiled problem
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
     assert np.isfinite(study.full.error).any()
