@@ -238,6 +238,7 @@ def result() -> dict[str, Any]:
             }
         ],
         "build_seconds": {"interpreted": 0.7},
+        "by_sensors": [{"sensors": 8, "us": 200.0, "iterations_per_fragment": 5.0, "converged": 9, "fragments": 9}],
         "by_duration": [
             {"recording_seconds": 10, "seconds": 1.0, "seconds_per_second": 0.1, "resident_growth_mb": 0.5}
         ],
@@ -255,6 +256,7 @@ def test_the_report_has_every_table() -> None:
     assert "| 300 | 1.0000 | 0.7500 | 12.00 | 0.000 | 0.000 | yes | no |" in text
     assert "66 % of its time" in text
     assert "| 20 | 1256 | 300.0 |" in text
+    assert "| 8 | 200 | 5.0 | 9 | 9 |" in text
 
 
 def test_the_figure_is_drawn(tmp_path: Path) -> None:
