@@ -60,6 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, help="at most, of a motion; of the stream of speed")
     parser.add_argument("--hours", type=float, default=1.0, help="of the stream of soak")
     parser.add_argument("--person", default="02", help="of speed and soak")
+    parser.add_argument("--rates", nargs="+", type=float, default=[60.0, 100.0], help="of the sensors, Hz, of speed")
+    parser.add_argument("--lags", nargs="+", type=float, default=[0.0], help="s, of speed")
     parser.add_argument("--confidence", action="store_true", help="covariances too")
     parser.add_argument("--goals", action="store_true", help="of accuracy, only the lags with a goal")
     parser.add_argument("--keep", type=Path, help="folder for the poses of accuracy")

@@ -93,7 +93,8 @@ class OnlineEstimator:
             self._sensors = SensorBuffer(setup.calibration, joints, s.rate_hz, solver.acceleration_cutoff_hz)
         if self._camera is None and self._sensors is None:
             raise InvalidInputError("setup: neither camera with landmarks nor calibrated sensors")
-        self._window = Window(self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames)
+        sizes = s.rate_hz, s.frames, s.solved
+        self._window = Window(self.skeleton, self._camera, self._landmarks, self._sensors, solver, *sizes)
         self._errors = StatedErrors(self._window) if s.confidence else None
         self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
         self._pending: deque[FrameSample] = deque()
@@ -155,7 +156,7 @@ class OnlineEstimator:
         if np.shape(sample.uv_px) != (L, 2) or np.shape(sample.confidence) != (L,):
             raise ShapeError(f"frame at {sample.time:g} s: {np.shape(sample.uv_px)} points for {L} landmarks")
         sample = replace(sample, time=sample.time - self._delay_s)
-        if self._origin is not None and sample.time < self._time(self._window.first) - 0.5 / self._rate:
+        if self._origin is not None and sample.time < self._time(self._window.oldest) - 0.5 / self._rate:
             self._drop("video")
             return
         self._newest = max(self._newest, sample.time)
@@ -205,7 +206,7 @@ class OnlineEstimator:
         """Begin again shortly before a frame, as the streams were silent for long or their clock jumped."""
         self.hurried += last - self._window.head - 1
         self._window.first = last - self._window.frames
-        self._window.smoother.restart(self._window.smoother.x[-1])
+        self._window.smoother.restart(self._window.smoother.state(-1)[0])
         self._placed.clear()
 
     def finish(self) -> list[OnlineEstimate]:
@@ -238,7 +239,7 @@ class OnlineEstimator:
             try:
                 window.smoother.iterate(1)
             except SolverError:
-                self._restart(window.smoother.x[-1])
+                self._restart(window.smoother.state(-1)[0])
 
     def _restart(self, x: Array) -> None:
         smoother = self._window.smoother
@@ -255,7 +256,7 @@ class OnlineEstimator:
             i = frame - window.first
             if i >= window.frames:
                 waiting.append(sample)
-            elif i < 0:
+            elif frame < window.oldest:
                 self._drop("video")
             else:
                 self._place(i, frame, sample, lift)
@@ -276,7 +277,7 @@ class OnlineEstimator:
         if before is None or sample.time > before.time:
             self._last_seen = sample
         self._placed[frame] = sample.time
-        self._placed = {k: t for k, t in self._placed.items() if k >= window.first}
+        self._placed = {k: t for k, t in self._placed.items() if k >= window.oldest}
         self._images += 1
         usual = frame - self._lifted >= _LIFT_EVERY_S * self._rate and window.needs_lift
         if not lift or not (usual or frame % _CHECK_EVERY == 0):
@@ -295,7 +296,7 @@ class OnlineEstimator:
 
     def _check(self, i: int, pose: StreamedPose, sample: FrameSample) -> None:
         """Begin again from the lift where poses have been far from it for long, and move a root that is."""
-        p = self._window.data.space.poses(self._window.smoother.x[i : i + 1])[0][0]
+        p = self._window.data.space.poses(self._window.smoother.state(i))[0][0]
         lifted = pose.p_world_joint
         far = np.linalg.norm((p - p[0]) - (lifted - lifted[0]), axis=1).mean() > _ASTRAY_M
         if np.linalg.norm(p[0] - lifted[0]) > _ASTRAY_ROOT_M:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 _LONGEST_LAG_S: Final = 1.0
 _LEAST_FRAMES: Final = 8  # of a window
 _BEYOND_LAG: Final = 4  # frames of the window before the returned one
+_SOLVED_S: Final = 0.35  # [s] of the newest frames, which are solved again at every step
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,15 @@ class OnlineSettings:
     @property
     def frames(self) -> int:
         """N of the window."""
-        least = max(_LEAST_FRAMES, self.lag_frames + 1 + _BEYOND_LAG)
+        return max(_LEAST_FRAMES, self.lag_frames + 1 + _BEYOND_LAG, self._asked)
+
+    @property
+    def solved(self) -> int:
+        """How many of the newest frames of the window are solved; see `FixedLagSmoother`."""
+        return min(self.frames, max(_LEAST_FRAMES, round(_SOLVED_S * self.rate_hz), self._asked))
+
+    @property
+    def _asked(self) -> int:
+        """Frames that a late video or the setting asks for."""
         late = round((self.video_latency_s + self.video_delay_s) * self.rate_hz) + 1 + _BEYOND_LAG
-        asked = 0 if self.window_s is None else round(self.window_s * self.rate_hz)
-        return max(least, late, asked)
+        return max(late, 0 if self.window_s is None else round(self.window_s * self.rate_hz))

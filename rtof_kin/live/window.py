@@ -66,6 +66,7 @@ class Window:
         settings: JointSpaceSettings,
         rate_hz: float,
         frames: int,
+        solved: int | None = None,
     ) -> None:
         """Build the problem.
 
@@ -75,7 +76,7 @@ class Window:
         self.skeleton, self.camera, self.sensors, self.rate_hz = skeleton, camera, sensors, rate_hz
         self._settings, self.frames, self.first = settings, frames, 1 - frames
         self.data = self._problem(landmarks)
-        self.smoother = FixedLagSmoother(self.data, frames)
+        self.smoother = FixedLagSmoother(self.data, frames, solved)
         names = skeleton.names
         self.seen = np.zeros((frames, len(names)), dtype=bool)
         energy = self.data.problem.energy
@@ -132,6 +133,11 @@ class Window:
     def head(self) -> int:
         """Number of the newest frame."""
         return self.first + self.frames - 1
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest frame whose observations still count."""
+        return self.first + self.smoother.first
 
     def append(self, x: Array) -> None:
         """Append a frame without observations; the oldest one leaves. `x`: (3 + 4A,) its initial state."""
@@ -192,7 +198,7 @@ class Window:
         points = self.data.points
         if points.moving:
             if self.head % _DISPLACED_EVERY == 0 or self._displaced is None:
-                p, R = self.data.space.poses(self.smoother.x[i : i + 1])
+                p, R = self.data.space.poses(self.smoother.state(i))
                 self._displaced = np.nan_to_num(points.displaced(camera, p, R)[0])
             px = px - self._displaced
         rows["uv_px"][i] = np.where(seen[own, None], px, 0.0)
@@ -274,10 +280,11 @@ class Window:
             self._hold()
 
     def _find_contacts(self, times: Array, lost: bool) -> None:
-        inside, s = self.smoother.inside, self._settings
+        inside, s = self.smoother.inside.copy(), self._settings
+        inside[: self.smoother.first] = False
         if inside.sum() < 3:
             return
-        p, R = self.data.space.poses(self.smoother.x[inside])
+        p, R = self.data.space.poses(self.smoother.solved[inside[self.smoother.first :]])
         poses = PoseSequence(times[inside], p, R, self.skeleton.names)
         sensors = None
         if self.sensors is not None:
@@ -303,7 +310,7 @@ class Window:
     def _hold(self) -> None:
         """Hold standing feet of the newest frame where they stood, and the lower foot near the ground."""
         rows, s = self.smoother.rows, self._settings
-        p = self.data.space.poses(self.smoother.x[-2:-1])[0][0]
+        p = self.data.space.poses(self.smoother.state(-2))[0][0]
         ankles = p[list(self.skeleton.index(*FEET))]
         if self._ground is None:
             self._ground = float(ankles[:, 2].min())
@@ -326,7 +333,7 @@ class Window:
 
         `time`: of the frame, s.
         """
-        p, R = self.data.space.poses(self.smoother.x[i : i + 1])
+        p, R = self.data.space.poses(self.smoother.state(i))
         parents, names = self.skeleton.parents, self.skeleton.names
         seen, sensed = self.seen[i], np.zeros(len(names), dtype=bool)  # by the camera; by its own sensor
         sensed[list(self.data.problem.energy["orientation"].sensors)] = self.smoother.rows["w_sensor"][i] > 0
@@ -382,7 +389,7 @@ class StatedErrors:
     def of(self, i: int, time: float) -> Confidence:
         """Return the covariances of frame i of the window. `time`: of the frame, s."""
         window, data = self._window, self._window.data
-        x = window.smoother.x[i : i + 1]
+        x = window.smoother.state(i)
         C = window.smoother.covariance(i)[:1]
         raw = confidence_of(data.space, np.array([time]), x, C, data.fixed)
         statistics = ResidualStatistics(data.sensors)

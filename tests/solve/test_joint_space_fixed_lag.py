@@ -51,10 +51,15 @@ def row(data: Observations, t: int) -> dict[str, Array]:
 
 
 def fed(
-    data: Observations, frames: int, stop: int = T, iterations: int = 2, start: Array | None = None
+    data: Observations,
+    frames: int,
+    stop: int = T,
+    iterations: int = 2,
+    start: Array | None = None,
+    solved: int | None = None,
 ) -> FixedLagSmoother:
     """A smoother after the first `stop` frames, begun at `start` or at its own predictions."""
-    smoother = FixedLagSmoother(data, frames)
+    smoother = FixedLagSmoother(data, frames, solved)
     for t in range(stop):
         x = smoother.predicted() if start is None and t > 1 else (data.start if start is None else start)[t]
         smoother.append(x, row(data, t), data.a_world[t], data.w_acceleration[t])
@@ -89,7 +94,7 @@ def test_marginalisation_keeps_the_covariance_of_the_remaining_frames() -> None:
     data = observations()
     long, short = fed(data, 12, 12, 0, data.start), fed(data, 8, 12, 0, data.start)
     long.finish(1), short.finish(1)
-    long.x, short.x = data.start[:12].copy(), data.start[4:12].copy()
+    long.solved, short.solved = data.start[:12].copy(), data.start[4:12].copy()
     expected, found = long.covariance(4), short.covariance(0)
     scale = np.sqrt(np.einsum("tii->ti", expected))
     np.testing.assert_allclose(
@@ -105,7 +110,7 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
     whole._window.bind(whole._data())
     whole._leaving.bind(whole._first_terms())
     slope = whole.prior.at(data.space, whole.x[:MEMORY])[1]
-    prior = marginalised(whole.prior, slope, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))
+    prior = marginalised(whole.prior, slope, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))[0]
     whole._window.condition(whole.prior)
     gradient = whole._window.linearise(whole.x)[1]
     step = whole._window.factorise(1e-9).solve(-gradient)
@@ -117,6 +122,37 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
     found_gradient = rest._window.linearise(rest.x)[1]
     found = rest._window.factorise(1e-9).solve(-found_gradient)
     np.testing.assert_allclose(found, step[1:], rtol=0, atol=1e-6)
+
+
+def test_frames_before_the_solved_ones_follow_as_in_a_step_of_all() -> None:
+    """At the same states: Newton's step, and the covariances."""
+    data = observations(replace(EXACTLY, limits=False))
+    whole, part = (fed(data, 14, 14, 0, data.start, solved) for solved in (None, 8))
+    for smoother in (whole, part):
+        smoother._early[:] = 1.0
+        smoother._window.bind(smoother._data())
+        smoother._window.condition(smoother.prior)
+    expected, found = whole.covariance(0), part.covariance(0)
+    scale = np.sqrt(np.einsum("tii->ti", expected))
+    np.testing.assert_allclose((found - expected) / (scale[:, :, None] * scale[:, None]), 0.0, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(part.covariance(3), found[3:], rtol=1e-9, atol=1e-12)
+    for smoother in (whole, part):
+        gradient = smoother._window.linearise(smoother.solved)[1]
+        step = smoother._window.factorise(1e-9).solve(-gradient)
+        smoother.solved, smoother._smoothed = data.space.retract(smoother.solved, step), None
+    assert apart(data, part.x, whole.x) < 1e-5
+    assert apart(data, part.x, data.start[:14]) > 1e-2
+    moved = part.x + np.eye(3, part.x.shape[1])[0]
+    part.translate(np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(part.x, moved, rtol=0, atol=1e-9)
+
+
+def test_frames_that_are_solved_once_end_where_all_of_them_do() -> None:
+    data = observations()
+    part, whole = fed(data, T, solved=16), fed(data, T)
+    assert part.first == T - 16
+    part.finish(20), whole.finish(20)
+    assert farthest(data, part.x, whole.x) < 0.02
 
 
 def test_a_short_window_follows_all_frames() -> None:
