@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import joint_space_support as js
 import numpy as np
@@ -17,7 +18,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics import c_compiler, simd
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, _made_of, built_energy
+from rtof_kin.solve.joint_space import fragment as fragment_module
+from rtof_kin.solve.joint_space.fragment import MADE_BY, FragmentData, FragmentEnergy, _made_of, built_energy
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.joint_space.terms import BUILT_IN, jerk_sigma
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -267,6 +269,13 @@ def test_an_energy_that_was_compiled_is_loaded_without_casadi() -> None:
     runs = [subprocess.run([sys.executable, "-c", OF_ITS_OWN], capture_output=True, text=True) for _ in range(2)]
     assert [run.stderr.split()[-1] for run in runs] == ["True", "False"]
     assert runs[0].stdout == runs[1].stdout != ""
+
+
+def test_what_makes_expressions_is_among_what_an_energy_is_built_anew_for() -> None:
+    folder = Path(fragment_module.__file__).parent
+    symbolic = {path.stem for path in folder.glob("*.py") if "casadi as ca" in path.read_text(encoding="utf-8")}
+    assert symbolic == {"energy", "stencils", "terms"}
+    assert symbolic < {*MADE_BY} == {path.stem for path in folder.glob("*.py")} & {*MADE_BY}
 
 
 def test_energies_of_other_terms_bodies_and_functions_from_outside_are_told_apart() -> None:

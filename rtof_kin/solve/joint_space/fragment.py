@@ -38,6 +38,8 @@ from rtof_kin.solve.joint_space.state import StateSpace
 from rtof_kin.solve.terms import PointTerm, Term
 
 MEMORY: Final = LAGS - 1  #: Frames that a marginalised frame leaves a prior on
+MADE_BY: Final = ("energy", "fragment", "layout", "state", "stencils", "terms")
+"""Modules of this folder that an energy's expressions are made by; when one changes, it is built anew."""
 BEYOND: Final = 2  #: Rows below the third block's diagonal that the axes of a joint reach
 
 
@@ -110,11 +112,11 @@ def _made_of(space: StateSpace, terms: tuple[Term, ...]) -> str:
 
 @cache
 def _sources() -> str:
-    """SHA-256 of the files that expressions and code are made by."""
-    folders, digest = (Path(__file__).parents[1], Path(simd.__file__).parent), sha256()
-    for path in sorted(path for folder in folders for path in folder.rglob("*.[pyhc]*") if path.suffix != ".pyc"):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    """SHA-256 of the files that make expressions and code of them."""
+    here, numerics = Path(__file__).parent, Path(simd.__file__).parent
+    files = [here.with_name("terms.py"), *(here / f"{name}.py" for name in MADE_BY)]
+    files += [numerics / name for name in ("simd.py", "simd_codegen.py", "simd.h")]
+    return sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 @dataclass(frozen=True)
