@@ -119,6 +119,7 @@ _LEVER = 0.2  # [m] usual distance of a sensor from a joint of its segment
 _NOISE = 0.3  # [m/s^2] of an acceleration
 _HEADINGS = 24  # Differences of headings tried, evenly from 0
 _W0, _A0 = 0.05, 0.1  # [rad/s], [m/s^2] added to sizes: rest
+_LEAST = 1e-30  # Ratio of a sensor that does not move at all
 
 
 def single_features(motions: SensorMotions) -> Array:
@@ -146,8 +147,8 @@ def single_features(motions: SensorMotions) -> Array:
         np.log(_rms(jerk) / (_rms(size) + _A0) + 0.1),
         np.log(tilt + 1e-3),
         *(shares[:, i] for shares in (tilts, about) for i in (0, 1)),
-        np.log(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2)),
-        np.log(_rms(size**2) / (_rms(size) ** 2 + _A0**2)),
+        np.log(np.maximum(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2), _LEAST)),
+        np.log(np.maximum(_rms(size**2) / (_rms(size) ** 2 + _A0**2), _LEAST)),
         np.log((np.quantile(speed, 0.2, axis=0) + 0.02) / (_rms(speed) + _W0)),
         np.log((np.quantile(size, 0.2, axis=0) + 0.05) / (_rms(size) + _A0)),
         _skewness(a_z),

@@ -46,8 +46,7 @@ def exp(rotvec: ArrayLike) -> Array:
 def log(R: ArrayLike) -> Array:
     """Return rotation vectors (..., 3), rad, of length at most pi; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
-    flat = Rotation.from_quat(_quats_of(R.reshape(-1, 3, 3)), scalar_first=True).as_rotvec()
-    return np.asarray(flat).reshape(*R.shape[:-2], 3)
+    return np.asarray(_rotation(R).as_rotvec()).reshape(*R.shape[:-2], 3)
 
 
 def angle_between(R_a: ArrayLike, R_b: ArrayLike) -> Array:
@@ -146,41 +145,20 @@ def from_quat_wxyz(quat_wxyz: ArrayLike) -> Array:
 def to_quat_wxyz(R: ArrayLike) -> Array:
     """Return quaternions (..., 4), scalar first, continuous along the first axis; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
-    quat = _quats_of(R.reshape(-1, 3, 3)).reshape(*R.shape[:-2], 4)
+    quat = np.asarray(_rotation(R).as_quat(scalar_first=True)).reshape(*R.shape[:-2], 4)
     if quat.ndim > 1 and len(quat) > 1:
         flips = np.where(np.sum(quat[1:] * quat[:-1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
         quat[1:] *= np.cumprod(flips, axis=0)
     return quat
 
 
-def _quats_of(R: Array) -> Array:
-    """Return quaternions (n, 4), scalar first, of matrices (n, 3, 3): the largest row of 4 q q^T (Shepperd 1978). Where
-    one is no rotation to rounding SciPy does it, whose checks of a few matrices take longer than all else.
-    """
-    K = (R.reshape(-1, 9) @ _SHEPPERD).reshape(-1, 4, 4) + np.eye(4)
-    rows = K[np.arange(len(K)), K[:, _FOUR, _FOUR].argmax(axis=1)]
-    square = np.einsum("ni,ni->n", rows, rows)
-    handed = np.abs(square - 4 * K[:, _FOUR, _FOUR].max(axis=1, initial=0.0))
-    if (np.abs(R @ R.swapaxes(1, 2) - np.eye(3)) < _ROUNDING).all() and (handed < _ROUNDING).all():
-        return np.asarray(rows / np.sqrt(square)[:, None])
-    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+def _rotation(R: Array) -> Rotation:
+    """Return SciPy's rotations of matrices (..., 3, 3); its own check of them takes ten times as long as all else."""
+    flat = R.reshape(-1, 3, 3)
+    return Rotation.from_matrix(flat, assume_valid=is_rotation(flat, _ROUNDING))
 
 
-_FOUR, _ROUNDING = np.arange(4), 1e-12
-
-
-def _shepperd() -> Array:
-    """Return the derivatives (9, 16) of 4 q q^T by a matrix, to which its diagonal of ones is added."""
-    out = np.zeros((3, 3, 4, 4))
-    for i, signs in enumerate([(1, 1, -1, -1), (1, -1, 1, -1), (1, -1, -1, 1)]):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        out[i, i, _FOUR, _FOUR] = signs
-        out[k, j, [0, 1 + i], [1 + i, 0]], out[j, k, [0, 1 + i], [1 + i, 0]] = 1.0, -1.0
-        out[[j, k], [k, j], 1 + j, 1 + k] = out[[j, k], [k, j], 1 + k, 1 + j] = 1.0
-    return out.reshape(9, 16)
-
-
-_SHEPPERD = _shepperd()
+_ROUNDING = 1e-12  # From which on SciPy takes the nearest rotation
 
 
 def _where_known(function: Callable[[Array], Array], values: Array, axes: int, shape: tuple[int, ...]) -> Array:
