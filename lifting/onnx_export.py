@@ -87,14 +87,11 @@ class LifterGraph(nn.Module):
 
 
 def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: bool = False) -> Path:
-    """Write a lifter as ONNX.
+    """Write a lifter as ONNX. `OutputExistsError`: the file exists and must not be overwritten. `RtofError`: the
+    package `onnx` is not installed, or the file cannot be written.
 
     Args:
         flip: average with the mirrored scene: a third slower, and more accurate.
-
-    Raises:
-        OutputExistsError: the file exists and must not be overwritten.
-        RtofError: the package `onnx` is not installed, or the file cannot be written.
     """
     path, body = Path(path), lifter.description.body
     onnx = optional("onnx", "onnx", "writing ONNX")

@@ -72,9 +72,7 @@ class Lifter:
     @classmethod
     def load(cls, path: str | Path | None = None) -> Lifter:
         """Read a lifter: a file, a shipped one by name (`rtof_kin.core.resources.lifter_path`), or the default one.
-
-        Raises:
-            FileFormatError: no such file, or see `load_checkpoint`.
+        `FileFormatError`: no such file, or see `load_checkpoint`.
         """
         name = DEFAULT_LIFTER if path is None else Path(path).name  # without folders, for reports
         path = lifter_path(path)
@@ -111,6 +109,7 @@ class Lifter:
         """Estimate poses in world at the keypoints' times.
 
         Windows are resampled to the lifter's rate; before the first and after the last frame, that frame is repeated.
+        `InvalidInputError`: fewer than `MIN_JOINTS` joints are ever seen; `joint_offsets` or `floor_height` are wrong.
 
         Args:
             keypoints: landmarks of one person, taken by joint name (others are ignored, missing ones
@@ -121,10 +120,6 @@ class Lifter:
                 the lifter's training are ignored.
             floor_height: z of a flat floor in world, m; improves the distance. None where unknown.
             flip: average with the mirrored scene: slower by half, and more accurate.
-
-        Raises:
-            InvalidInputError: fewer than `MIN_JOINTS` joints are ever seen; `joint_offsets` or
-                `floor_height` are wrong.
         """
         self._check_seen(keypoints)
         bones, R_bone_shared = self.bones_of(joint_offsets), self.shared_frames(joint_offsets)
@@ -179,10 +174,8 @@ class Lifter:
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
         """Return a person's bones in shared frames, as the network takes them (`Body.bones_of`); NaN if None.
 
-        The offsets (J, 3), m, are of each joint in its parent's link frame.
-
-        Raises:
-            InvalidInputError: not finite, or not a human's bone lengths.
+        The offsets (J, 3), m, are of each joint in its parent's link frame. `InvalidInputError`: not finite, or not a
+        human's bone lengths.
         """
         body = self.description.body
         if joint_offsets is None:
@@ -213,10 +206,8 @@ def _libraries() -> ThreadpoolController:
 
 
 def camera_height(camera: Camera, floor_height: float | None) -> float:
-    """Return the height of the camera over a floor (z, m) in world, m; NaN where the floor is None.
-
-    Raises:
-        ViewError: the camera is below the floor.
+    """Return the height of the camera over a floor (z, m) in world, m; NaN where the floor is None. `ViewError`: the
+    camera is below the floor.
     """
     if floor_height is None:
         return np.nan

@@ -50,7 +50,8 @@ class StreamingLifter:
         history_s: float = 1.0,
         flip: bool = True,
     ):
-        """Prepare for a camera and a person.
+        """Prepare for a camera and a person. `InvalidInputError`: too few landmarks are joints of the lifter;
+        `joint_offsets`, `floor_height`, `lookaheads` or `history_s` are wrong.
 
         Args:
             lifter: see `Lifter.load`. joint_offsets: (J, 3) m, as in `Lifter.predict`; None where unknown.
@@ -60,10 +61,6 @@ class StreamingLifter:
             history_s: age of the oldest frame that may still come and of the oldest pose that may be estimated,
                 relative to the newest frame, s.
             flip: average with the mirrored scene: slower, and more accurate.
-
-        Raises:
-            InvalidInputError: too few landmarks are joints of the lifter; `joint_offsets`, `floor_height`,
-                `lookaheads` or `history_s` are wrong.
         """
         if not history_s >= 0 or not all(0 <= k == int(k) for k in lookaheads):
             raise InvalidInputError(
@@ -113,17 +110,15 @@ class StreamingLifter:
     def put(
         self, time: float, uv_px: ArrayLike, confidence: ArrayLike, R_world_bone: Mapping[str, ArrayLike] | None = None
     ) -> None:
-        """Take one frame; it may come late, and replaces one of the same time.
+        """Take one frame; it may come late, and replaces one of the same time. `ShapeError`, `InvalidInputError`: the
+        frame is too late, or an array is wrong; it is not taken. `UnknownNameError`: an orientation is not of a joint
+        of the lifter.
 
         Args:
             time: s, at most `history_s` before the newest frame; any rate, gaps allowed.
             uv_px: (L, 2) landmarks, px; NaN where unseen. confidence: (L,) in [0, 1]; 0 where unseen.
             R_world_bone: orientations (3, 3) of segments by joint name; NaN or left out where missing. Segments
                 without a sensor in the lifter's training are ignored.
-
-        Raises:
-            ShapeError, InvalidInputError: the frame is too late, or an array is wrong; it is not taken.
-            UnknownNameError: an orientation is not of a joint of the lifter.
         """
         time, newest = float(time), self._frames.newest
         if not newest - self._history - _SAME_S <= time < np.inf:
@@ -138,10 +133,8 @@ class StreamingLifter:
 
     def lift(self, times: ArrayLike) -> tuple[StreamedPose | None, ...]:
         """Return poses at n times, s, not necessarily of frames, within `history_s` before the newest frame, from all
-        frames so far; None where too little is seen around one.
-
-        Raises:
-            InvalidInputError: a time is earlier, or later than the newest frame.
+        frames so far; None where too little is seen around one. `InvalidInputError`: a time is earlier, or later than
+        the newest frame.
         """
         at, newest = readonly("times", times, ("n",)), self._frames.newest
         if not len(at):

@@ -67,16 +67,14 @@ class OnlineEstimator:
         lifter: Lifter | None = None,
         calibration: SelfCalibration | None = None,
     ) -> None:
-        """Build the problem, which compiles code the first time.
+        """Build the problem, which compiles code the first time. `InvalidInputError`: there is neither camera nor
+        calibrated sensor.
 
         Args:
             setup: recording whose camera, body, floor and calibration of sensors are used; not its streams.
             landmarks: names of the L points of the video; none for sensors alone.
             lifter: keypoints to 3D; by default the shipped one.
             calibration: that the refinement begins with; for one to be kept as it is, apply it to the setup.
-
-        Raises:
-            InvalidInputError: there is neither camera nor calibrated sensor.
         """
         self.settings = s = settings or OnlineSettings()
         self.skeleton, self._landmarks = setup.skeleton, tuple(landmarks)

@@ -31,11 +31,7 @@ _AHEAD_S, _LATE_S = 0.5, 10.0  # [s] after and before now; a first stamp outside
 
 
 def load_pylsl() -> Any:
-    """Return the module pylsl.
-
-    Raises:
-        MissingPackageError: it is not installed, or its library does not load.
-    """
+    """Return the module pylsl. `MissingPackageError`: it is not installed, or its library does not load."""
     return optional("pylsl", "live", "an LSL stream")
 
 
@@ -66,11 +62,8 @@ class LslSource(ABC):
         return self._offset_s + self._shift_s
 
     def start(self) -> None:
-        """Find the stream and connect, unless that is done; takes about a second.
-
-        Raises:
-            SourceError: no stream, or two, of the name; no connection; channels that cannot be used, or others than
-                before.
+        """Find the stream and connect, unless that is done; takes about a second. `SourceError`: no stream, or two, of
+        the name; no connection; channels that cannot be used, or others than before.
         """
         if self._inlet is not None:
             return
@@ -109,10 +102,8 @@ class LslSource(ABC):
         self._inlet, self._first, self._shift_s = inlet, True, 0.0
 
     def poll(self) -> list[Sample]:
-        """Return what has arrived since the last call, without waiting.
-
-        Raises:
-            SourceError: the connection is lost; `start` finds the stream again.
+        """Return what has arrived since the last call, without waiting. `SourceError`: the connection is lost; `start`
+        finds the stream again.
         """
         if self._inlet is None:
             return []
@@ -138,9 +129,7 @@ class LslSource(ABC):
     @abstractmethod
     def read_channels(self, labels: Sequence[str], units: Sequence[str] = (), types: Sequence[str] = ()) -> None:
         """Take what the channels mean, see `rtof_kin.formats.channels`; units and types may be empty.
-
-        Raises:
-            InvalidInputError: they cannot be used; names stream, channel and remedy.
+        `InvalidInputError`: they cannot be used; names stream, channel and remedy.
         """
 
     @abstractmethod

@@ -139,11 +139,8 @@ def names_of_map(path: str | Path, setup: Recording) -> Callable[[str], str]:
 
 
 def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
-    """Return the outputs that words name. `words`: of `OUTPUTS`.
-
-    Raises:
-        SourceError: another word, twice the same, or a port that is taken.
-        RtofError: what an output needs is not installed.
+    """Return the outputs that words name. `words`: of `OUTPUTS`. `SourceError`: another word, twice the same, or a port
+    that is taken. `RtofError`: what an output needs is not installed.
     """
     if twice := {word for word in words if list(words).count(word) > 1}:
         raise SourceError(f"--send {', '.join(sorted(twice))}: given twice; give each output once")
@@ -235,11 +232,7 @@ class LslOutlet:
     """
 
     def __init__(self, name: str, skeleton: SkeletonModel):
-        """Open both streams.
-
-        Raises:
-            SourceError: pylsl is not installed.
-        """
+        """Open both streams. `SourceError`: pylsl is not installed."""
         self._pylsl = load_pylsl()
         self._skeleton = skeleton
         self._name = name
@@ -258,10 +251,8 @@ class LslOutlet:
         self._messages: Any = self._pylsl.StreamOutlet(text)
 
     def send(self, estimate: OnlineEstimate) -> None:
-        """Send an estimate; a listener is not waited for.
-
-        Raises:
-            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """Send an estimate; a listener is not waited for. `UnknownNameError`, `InvalidInputError`: its joints are not
+        those of the skeleton.
         """
         if self._outlet is None:
             return

@@ -39,9 +39,7 @@ class PersonPoints:
     """The skeleton's landmarks and the detector's own points of one person, followed over time.
 
     `detector`: used for nothing else. `camera_px`: width and height that points are scaled to; None: as the images.
-
-    Raises:
-        SourceError: no layout has as many points; the images have another form than the camera's.
+    `SourceError`: no layout has as many points; the images have another form than the camera's.
     """
 
     def __init__(self, detector: Detector, image_px: tuple[int, int], camera_px: tuple[int, int] | None = None):

@@ -107,9 +107,7 @@ class Recorder:
 
         `folder`: to be written; new, or empty. `video_delay_s`: by how much the video's stamps are late. `chunk_s`:
         length of a file, s. `in_background`: write in a thread, so that a slow disk does not delay the estimate.
-
-        Raises:
-            OutputExistsError: the folder has files. WritingError: it cannot be written.
+        `OutputExistsError`: the folder has files. `WritingError`: it cannot be written.
         """
         self.folder = Path(folder)
         self.video_delay_s = video_delay_s
@@ -169,10 +167,8 @@ class Recorder:
             self._notices.append(f"{self.folder}: the last {seconds:g} s are not recorded ({problem})")
 
     def finish(self) -> tuple[str, ...]:
-        """Make a recording of the folder and return notes about it.
-
-        Raises:
-            RtofError: nothing was recorded, or it cannot be written.
+        """Make a recording of the folder and return notes about it. `RtofError`: nothing was recorded, or it cannot be
+        written.
         """
         self.close()
         return finish(self.folder)

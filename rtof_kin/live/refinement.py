@@ -33,10 +33,8 @@ _OPEN: Final = {
 
 
 def refinement_priors(kinds: Sequence[str]) -> CalibrationPriors | None:
-    """Return the priors of what is refined during a session; None for nothing.
-
-    Raises:
-        UnknownNameError: there is no such kind.
+    """Return the priors of what is refined during a session; None for nothing. `UnknownNameError`: there is no such
+    kind.
     """
     if unknown := sorted({*kinds} - {*_OPEN}):
         raise UnknownNameError("kind of calibration", unknown, tuple(_OPEN))
@@ -56,10 +54,8 @@ class Refinement:
     def __init__(
         self, window: Window, sensors: SensorBuffer, priors: CalibrationPriors, start: SelfCalibration | None = None
     ) -> None:
-        """Begin. `sensors`: their samples, which are evaluated without corrections.
-
-        Raises:
-            CalibrationError: nothing is open.
+        """Begin. `sensors`: their samples, which are evaluated without corrections. `CalibrationError`: nothing is
+        open.
         """
         self._window, self._sensors = window, sensors
         self._settings, self._rate_hz = window.data.settings, window.rate_hz

@@ -36,10 +36,7 @@ class ReplayClock:
     """Time that all replays of a session have reached.
 
     `speed`: times real time; inf: every round of polls is 1/60 s later, however long it took. `now`: seconds of the
-    system.
-
-    Raises:
-        InvalidInputError: the speed is not positive.
+    system. `InvalidInputError`: the speed is not positive.
     """
 
     def __init__(self, speed: float = 1.0, now: Callable[[], float] = system.monotonic) -> None:
@@ -71,9 +68,7 @@ class ReplayClock:
 
     def cover(self, name: str, first: float, last: float) -> None:
         """Take part: the replay begins at the earliest time of all sources. `first`, `last`: its times, s.
-
-        Raises:
-            SourceError: no time is common with another source, so their clocks differ.
+        `SourceError`: no time is common with another source, so their clocks differ.
         """
         for other, (start, stop) in self._spans.items():
             if last < start or stop < first:
@@ -166,10 +161,7 @@ class RecordingReplay:
     """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
 
     `streams`: sensors with orientation, at their own times on one clock. `renamed`: name of a sensor in the
-    calibration, by its own.
-
-    Raises:
-        UnknownNameError: a fault of an unknown sensor.
+    calibration, by its own. `UnknownNameError`: a fault of an unknown sensor.
     """
 
     def __init__(
@@ -208,11 +200,7 @@ class RecordingReplay:
         faults: Faults = _NO_FAULTS,
         renamed: Callable[[str], str] = str,
     ) -> Self:
-        """Replay a recording.
-
-        Raises:
-            SourceError: it has none of them.
-        """
+        """Replay a recording. `SourceError`: it has none of them."""
         keypoints = recording.keypoints if video else None
         imus = recording.imus if sensors else None
         if keypoints is None and imus is None:
@@ -237,10 +225,8 @@ class RecordingReplay:
     ) -> Self:
         """Replay sensor files; orientations that they lack are estimated by the causal filter.
 
-        `path`: file or folder that `read_sensor_log` reads.
-
-        Raises:
-            SourceError: not read, or a sensor has neither an orientation nor what gives one.
+        `path`: file or folder that `read_sensor_log` reads. `SourceError`: not read, or a sensor has neither an
+        orientation nor what gives one.
         """
         try:
             log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
@@ -261,10 +247,7 @@ class RecordingReplay:
     ) -> Self:
         """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
 
-        `path`: file with times that `read_detector_keypoints` reads.
-
-        Raises:
-            SourceError: not read, or without times.
+        `path`: file with times that `read_detector_keypoints` reads. `SourceError`: not read, or without times.
         """
         try:
             found = read_detector_keypoints(path, camera)
@@ -298,11 +281,7 @@ class RecordingReplay:
         return self._closed or self._next == len(self._arrival)
 
     def start(self) -> None:
-        """Join the shared clock.
-
-        Raises:
-            SourceError: the times are those of another clock than another replay's.
-        """
+        """Join the shared clock. `SourceError`: the times are those of another clock than another replay's."""
         self._closed = False
         first = min(float(track.times[0]) for track in self._tracks)
         self._replay.cover(self.name, first, max(float(track.times[-1]) for track in self._tracks))

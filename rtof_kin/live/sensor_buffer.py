@@ -63,10 +63,8 @@ class SensorBuffer:
     def add(self, sensor: str, time: float, R_inertial_sensor: Array, f_sensor: Array) -> None:
         """Take a sample; those without an orientation are left out, as are further ones of the same time.
 
-        `time`: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN where missing.
-
-        Raises:
-            UnknownNameError: the sensor is not calibrated.
+        `time`: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN where missing. `UnknownNameError`: the sensor is
+        not calibrated.
         """
         s = self._row.get(sensor)
         if s is None:

@@ -174,10 +174,7 @@ class LiveSession:
 
         `recorder`: of everything; None for none. `video_delay_s`: by how much the video's stamps are late.
         `patience_s`: for streams that do not start. `in_background`: start sources and check first seconds in threads;
-        without, `step` is deterministic.
-
-        Raises:
-            InvalidInputError: two sources of one name.
+        without, `step` is deterministic. `InvalidInputError`: two sources of one name.
         """
         checked_names("live sources", [source.name for source in sources])
         self._setup, self._estimator, self._recorder = setup, estimator, recorder

@@ -45,10 +45,8 @@ _DRIFT: Final = 1e-4  # [s/s] Largest difference of the rates of a camera's cloc
 
 
 def device_of(camera: int | str, platform: str = sys.platform) -> tuple[str, str]:
-    """Return name and format under which FFmpeg opens a camera. `platform`: as `sys.platform`.
-
-    Raises:
-        SourceError: the system is not known, or has no camera of that number.
+    """Return name and format under which FFmpeg opens a camera. `platform`: as `sys.platform`. `SourceError`: the
+    system is not known, or has no camera of that number.
     """
     system = "linux" if platform.startswith("linux") else platform
     if (kind := _FORMATS.get(system)) is None:
@@ -81,11 +79,8 @@ def cameras_here() -> dict[str, str]:
 def open_webcam(camera: int | str, size_px: tuple[int, int] | None = None) -> tuple[Any, Any]:
     """Open a camera and return PyAV's container and video stream.
 
-    `size_px`: wanted width and height; the camera may give others.
-
-    Raises:
-        SourceError: there is no such camera, another program uses it, or it may not be used.
-        RtofError: the extra is not installed.
+    `size_px`: wanted width and height; the camera may give others. `SourceError`: there is no such camera, another
+    program uses it, or it may not be used. `RtofError`: the extra is not installed.
     """
     av = optional("av", "video")
     name, kind = device_of(camera)
@@ -372,11 +367,9 @@ class VideoSource:
     # --- source ------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open camera and detector, and begin to read, unless that is done.
-
-        Raises:
-            SourceError: there is no such camera, it is in use or not allowed, the file is no video, there is
-                no detector, or the images are not those of the calibrated camera.
+        """Open camera and detector, and begin to read, unless that is done. `SourceError`: there is no such camera, it
+        is in use or not allowed, the file is no video, there is no detector, or the images are not those of the
+        calibrated camera.
         """
         if self.examination is not None and not self._closed:
             return
@@ -399,10 +392,8 @@ class VideoSource:
         self.examination = Examination(images, first, detector, points, replay, self._now)
 
     def poll(self) -> list[Sample]:
-        """Return the frames that were examined; without pace it waits for those of the clock's time.
-
-        Raises:
-            SourceError: the webcam stopped; it may be started again.
+        """Return the frames that were examined; without pace it waits for those of the clock's time. `SourceError`: the
+        webcam stopped; it may be started again.
         """
         run = self.examination
         if run is None or self._closed:

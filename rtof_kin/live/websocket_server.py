@@ -113,10 +113,8 @@ class JointStates:
         }
 
     def message(self, estimate: OnlineEstimate) -> Data:
-        """Return the message of an estimate.
-
-        Raises:
-            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """Return the message of an estimate. `UnknownNameError`, `InvalidInputError`: its joints are not those of the
+        skeleton.
         """
         poses, skeleton = estimate.poses, self._skeleton
         skeleton.check_joints(poses.names)
@@ -229,11 +227,8 @@ class WebSocketServer:
     def __init__(self, skeleton: SkeletonModel, port: int = 0, floor_height: float | None = None):
         """Open the port at the loopback address and begin to serve.
 
-        `port`: TCP port; 0: a free one, see `url`. `floor_height`: for the page, m.
-
-        Raises:
-            SourceError: the port is taken.
-            RtofError: the extra is not installed.
+        `port`: TCP port; 0: a free one, see `url`. `floor_height`: for the page, m. `SourceError`: the port is taken.
+        `RtofError`: the extra is not installed.
         """
         self._websockets = optional("websockets.asyncio.server", "live")
         self._closed = optional("websockets.exceptions", "live").ConnectionClosed
@@ -273,10 +268,8 @@ class WebSocketServer:
         return self._dropped
 
     def send(self, estimate: OnlineEstimate) -> None:
-        """Send an estimate to all clients; without clients nothing is done.
-
-        Raises:
-            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """Send an estimate to all clients; without clients nothing is done. `UnknownNameError`, `InvalidInputError`:
+        its joints are not those of the skeleton.
         """
         self._skeleton.check_joints(estimate.poses.names)
         if not self._clients:
@@ -297,10 +290,7 @@ class WebSocketServer:
         """Send the states of the streams to all clients; the last ones also to those that connect later.
 
         `status`: `Monitor.status`: plain values; ``sensors`` is a list, ``camera`` one, with ``name``, ``state`` and
-        ``sentence``.
-
-        Raises:
-            InvalidInputError: it is not plain, or has NaN.
+        ``sentence``. `InvalidInputError`: it is not plain, or has NaN.
         """
         self._call(self._put, "status", _text({"status": dict(status)}))
 

@@ -114,12 +114,9 @@ def _ahead(frames: Generator[VideoFrame]) -> Generator[VideoFrame]:
 def read_video(source: str | Path | int, every: int = 1) -> Generator[VideoFrame]:
     """Generate the frames of a video file or a webcam, upright; every so many of them.
 
-    Times are the time stamps of the file, in real time where it is slow motion (`VideoMetadata.slowed`), or
-    follow from its frame rate where stamps are missing. Damaged parts of a file are skipped.
-
-    Raises:
-        FileFormatError: no such file, or not readable.
-        RtofError: the extra is not installed.
+    Times are the time stamps of the file, in real time where it is slow motion (`VideoMetadata.slowed`), or follow from
+    its frame rate where stamps are missing. Damaged parts of a file are skipped. `FileFormatError`: no such file, or
+    not readable. `RtofError`: the extra is not installed.
     """
     return _webcam(source, every) if isinstance(source, int) else _file(source, every)
 

@@ -136,7 +136,7 @@ def run_jobs(
     progress: Progress | None = None,
     engine: Engine | None = None,
 ) -> Outcome:
-    """Run the jobs that have no result yet in parallel processes.
+    """Run the jobs that have no result yet in parallel processes. `InvalidInputError`: fewer than one worker.
 
     Args:
         function: at the top level of a module; called with one job's argument.
@@ -144,9 +144,6 @@ def run_jobs(
         workers: number of processes, the number of cores by default; 1 runs in this process.
         progress: called after every job; without it, failures are logged.
         engine: instead of processes of this machine; its workers write to `folder`.
-
-    Raises:
-        InvalidInputError: fewer than one worker.
     """
     if engine is None:
         engine = InThisProcess() if workers == 1 else Processes(workers)

@@ -64,15 +64,13 @@ def marginalised(
     prior: MarginalPrior, slope: Array, leaving: FragmentEnergy, limits: Limits | None, x: Array, multipliers: Array
 ) -> tuple[MarginalPrior, Array, Array]:
     """Return the prior of frames 1 to 3 after frame 0 has left; the Cholesky factor (D, D) of the Hessian of frame 0,
-    and its inverse times (D, 3D + 1) the coupling with those frames and the gradient.
+    and its inverse times (D, 3D + 1) the coupling with those frames and the gradient. `SolverError`: the frame's
+    Hessian is not positive definite.
 
     Args:
         prior: of frames 0 to 2. slope: (3, D) its gradient at x.
         leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
         x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
-
-    Raises:
-        SolverError: the frame's Hessian is not positive definite.
     """
     space = leaving.space
     D, kept = space.size, MEMORY * space.size
@@ -257,13 +255,11 @@ class FixedLagSmoother:
         return np.asarray((x if self.limits is None else self.limits.within(x))[0])
 
     def iterate(self, iterations: int, tolerance: float | None = None) -> bool:
-        """Improve the states; return whether they have converged.
+        """Improve the states; return whether they have converged. `SolverError`: the energy is not finite; the states
+        are unchanged.
 
         Args:
             tolerance: by default that of the settings.
-
-        Raises:
-            SolverError: the energy is not finite; the states are unchanged.
         """
         self._window.bind(self._data())
         if self._appended % _EVERY == 0 or self._appended < self.frames:

@@ -366,10 +366,8 @@ class FragmentEnergy:
         return np.lib.stride_tricks.as_strided(flat, (size, size), steps)
 
     def factorise(self, damping: float) -> Factor:
-        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal.
-
-        Raises:
-            SolverError: it is not positive definite.
+        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal. `SolverError`: it is not positive
+        definite.
         """
         return self._matrix.factorise(damping)
 

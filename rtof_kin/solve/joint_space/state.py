@@ -201,11 +201,7 @@ class Limits:
     """
 
     def __init__(self, space: StateSpace) -> None:
-        """Collect the limits of the hinges that move.
-
-        Raises:
-            InvalidInputError: a lower limit is not below its upper one.
-        """
+        """Collect the limits of the hinges that move. `InvalidInputError`: a lower limit is not below its upper one."""
         skeleton = space.skeleton
         hinges = np.flatnonzero(space.hinge_axis >= 0)
         axes = space.hinge_axis[hinges]
