@@ -60,7 +60,7 @@ class Source(Protocol):
         """Whether no further sample will come."""
 
     def start(self) -> None:
-        """Begin to collect. `SourceError`: the stream does not exist, or not once; a port is taken; a file is damaged."""
+        """Begin to collect. `SourceError`: the stream does not exist, or not once; a port is taken; a damaged file."""
 
     def poll(self) -> list[Sample]:
         """Return what has arrived since the last call, without waiting."""
