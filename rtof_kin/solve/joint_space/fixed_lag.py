@@ -238,13 +238,13 @@ class FixedLagSmoother:
         self.prior = MarginalPrior.none(self.space, self.solved[: LAGS - 1])
 
     def translate(self, shift: Array) -> None:
-        """Move the root of all frames, and of what is known of them from before, by (3,) m."""
+        """Move the root of all frames, and of what is known of them from before, by (3,) m. Where not all are solved,
+        only the solved ones begin anew there: what was seen before a gap holds the frames in it.
+        """
         moved = np.concatenate([shift, np.zeros(self.solved.shape[1] - 3)])
         self.solved, self._smoothed = self.solved + moved, None
-        for one in self._left:
-            one.x[:3] += shift
-            one.after[:, :3] += shift
-        self.prior = replace(self.prior, x=self.prior.x + moved)
+        if not self.first:
+            self.prior = replace(self.prior, x=self.prior.x + moved)
 
     def predicted(self) -> Array:
         """Return the state (3 + 4A,) of the next frame at the speed of the last two, hinges within limits."""
