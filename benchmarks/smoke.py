@@ -76,7 +76,7 @@ def _spent() -> float:
     return process_time() + children.ru_utime + children.ru_stime
 
 
-UNITS = {"AMD EPYC, instructions 25fc08b1": {"solve": 24.0, "covariances": 44.0, "lift": 29.6, "command": 700.0}}
+UNITS = {"AMD EPYC, instructions 25fc08b1": {"solve": 22.0, "covariances": 22.0, "lift": 27.5, "command": 560.0}}
 """Kind of processor -> what each takes there, in matrix products of 512 x 512 numbers."""
 SLOWER, ELSEWHERE, REPEATS = 1.3, 2.0, 8
 

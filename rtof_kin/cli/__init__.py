@@ -6,6 +6,7 @@ input (one line says what, where and what to do), 130 interrupted.
 
 from __future__ import annotations
 
+import gc
 import sys
 from typing import TYPE_CHECKING, Final
 
@@ -52,6 +53,7 @@ OLD_OPTIONS: Final = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return the exit code. `arguments`: of the command line; default: sys.argv."""
+    gc.set_threshold(50_000, 20, 20)  # imports make many objects and no garbage: a twentieth of a short command
     try:
         from rtof_kin.cli.terminal import remark
         from rtof_kin.core.errors import RtofError
