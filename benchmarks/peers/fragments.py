@@ -49,7 +49,7 @@ class Material:
         return Material(
             self.skeleton,
             PoseSequence(times, p, R, start.names),
-            replace(seen, times=times, uv_px=seen.uv_px[at], confidence=seen.confidence[at]),
+            replace(seen, times=times, uv_px=seen.uv_px[at], confidence=seen.confidence[at], own_times=None),
             replace(imus, times=times, R_world_bone=imus.R_world_bone[at], a_world=imus.a_world[at]),
         )
 
