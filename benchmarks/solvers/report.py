@@ -226,6 +226,6 @@ def figure(result: dict[str, Any], path: Path) -> None:
         axis.set_ylabel("energy above the lowest found, as a share of it [1]")
         axis.set_title(f"{title}, {N} frames from {result[space]['typical_first_frame']}")
         axis.grid(visible=True, alpha=0.3)
-    drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    drawn.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=6)  # has all of them
     drawn.savefig(path, dpi=130)
     pyplot.close(drawn)
