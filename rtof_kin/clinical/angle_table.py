@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -137,9 +138,14 @@ def foot_table(skeleton: SkeletonTable) -> AngleTable:
     return _table(skeleton, "foot")
 
 
+@cache
+def _file() -> dict[str, Any]:
+    return load_toml(model_path("clinical_angles.toml"))
+
+
 def _table(skeleton: SkeletonTable, entries_of: str) -> AngleTable:
     """Table of one list of entries of the file."""
-    data = load_toml(model_path("clinical_angles.toml"))
+    data = _file()
     known = data["segments"]
     if skeleton.name not in known:
         raise UnknownNameError("skeleton in the table of clinical angles", [skeleton.name], list(known))
