@@ -30,16 +30,9 @@ typedef double U __attribute__((vector_size(8 * WIDE), aligned(8)));
 int banded_wide(void) { return QUICK ? WIDE : 0; }
 int banded_tile(void) { return TILE; }
 
-/* A tile: rows from `row`, columns of the block at `first`, less what the columns before take from it. */
-static inline void reduced(V t[WIDE][DEEP], const double *a, const double *l, Int row, Int first,
-                           Int band, Int step) {
-  const Int begin = row - band > 0 ? row - band : 0;
-#pragma GCC unroll 8
-  for (int c = 0; c < WIDE; c++)
-#pragma GCC unroll 3
-    for (int d = 0; d < DEEP; d++) t[c][d] = *(const U *)(a + row + d * WIDE + (first + c) * step);
-  const double *rows = l + row + begin * step, *heads = l + first + begin * step;
-  for (Int k = begin; k < first; k++, rows += step, heads += step) {
+/* A tile less `count` products of a column of rows, `on` numbers after the one before, and a row of heads. */
+static inline void less(V t[WIDE][DEEP], const double *rows, Int on, const double *heads, Int by, Int count) {
+  for (Int k = 0; k < count; k++, rows += on, heads += by) {
     V own[DEEP];
 #pragma GCC unroll 3
     for (int d = 0; d < DEEP; d++) own[d] = *(const U *)(rows + d * WIDE);
@@ -48,6 +41,17 @@ static inline void reduced(V t[WIDE][DEEP], const double *a, const double *l, In
 #pragma GCC unroll 3
       for (int d = 0; d < DEEP; d++) t[c][d] -= own[d] * heads[c];
   }
+}
+
+/* A tile: rows from `row`, columns of the block at `first`, less what the columns before take from it. */
+static inline void reduced(V t[WIDE][DEEP], const double *a, const double *l, Int row, Int first,
+                           Int band, Int step) {
+  const Int begin = row - band > 0 ? row - band : 0;
+#pragma GCC unroll 8
+  for (int c = 0; c < WIDE; c++)
+#pragma GCC unroll 3
+    for (int d = 0; d < DEEP; d++) t[c][d] = *(const U *)(a + row + d * WIDE + (first + c) * step);
+  less(t, l + row + begin * step, step, l + first + begin * step, step, first - begin);
 }
 
 /* The tile times the inverse of the block's transposed factor. */
@@ -155,16 +159,7 @@ void banded_forward(const double *l, double *x, Int size, Int band, Int step) {
     for (int r = 0; r < WIDE; r++)
 #pragma GCC unroll 3
       for (int d = 0; d < DEEP; d++) t[r][d] = *(const U *)(own + r * TILE + d * WIDE);
-    const double *heads = l + first + begin * step, *known = x + begin * TILE;
-    for (Int k = begin; k < first; k++, heads += step, known += TILE) {
-      V row[DEEP];
-#pragma GCC unroll 3
-      for (int d = 0; d < DEEP; d++) row[d] = *(const U *)(known + d * WIDE);
-#pragma GCC unroll 8
-      for (int r = 0; r < WIDE; r++)
-#pragma GCC unroll 3
-        for (int d = 0; d < DEEP; d++) t[r][d] -= row[d] * heads[r];
-    }
+    less(t, x + begin * TILE, TILE, l + first + begin * step, step, first - begin);
     const double *corner = l + first + first * step;
     for (int r = 0; r < WIDE; r++) {
       for (int b = 0; b < r; b++)
@@ -222,25 +217,16 @@ void banded_inverse(const double *l, double *z, double *out, Int size, Int band,
       V t[WIDE][DEEP];
       for (int c = 0; c < WIDE; c++)
         for (int d = 0; d < DEEP; d++) t[c][d] = (V){0};
-      const double *column = z + below + row + below * side, *heads = g;
-      for (Int k = 0; k < band; k++, column += side, heads += WIDE) {
-        V rows[DEEP];
-#pragma GCC unroll 3
-        for (int d = 0; d < DEEP; d++) rows[d] = *(const U *)(column + d * WIDE);
-#pragma GCC unroll 8
-        for (int c = 0; c < WIDE; c++)
-#pragma GCC unroll 3
-          for (int d = 0; d < DEEP; d++) t[c][d] += rows[d] * heads[c];
-      }
+      less(t, z + below + row + below * side, side, g, WIDE, band);
       for (int r = 0; r < TILE && row + r < band; r++)
         for (int c = 0; c < WIDE; c++) h[(row + r) * WIDE + c] = t[c][r / WIDE][r % WIDE];
     }
     for (Int k = 0; k < band; k++) {
       const V known = *(const U *)(h + k * WIDE);
 #pragma GCC unroll 8
-      for (int a = 0; a < WIDE; a++) squared[a] += g[k * WIDE + a] * known;
-      *(U *)(z + own + (below + k) * side) = -known;
-      for (int c = 0; c < WIDE; c++) z[below + k + (own + c) * side] = -known[c];
+      for (int a = 0; a < WIDE; a++) squared[a] -= g[k * WIDE + a] * known;
+      *(U *)(z + own + (below + k) * side) = known;
+      for (int c = 0; c < WIDE; c++) z[below + k + (own + c) * side] = known[c];
     }
     for (int a = 0; a < WIDE; a++) /* symmetric, else rounding errors grow */
       for (int b = 0; b < WIDE; b++) z[own + a + (own + b) * side] = (squared[a][b] + squared[b][a]) / 2;
