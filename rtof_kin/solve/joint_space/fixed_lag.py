@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -29,7 +28,7 @@ from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import Factor
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
 from rtof_kin.solve.joint_space.annealing import CameraErrors
-from rtof_kin.solve.joint_space.fragment import MEMORY, FragmentData, FragmentEnergy, MarginalPrior
+from rtof_kin.solve.joint_space.fragment import MEMORY, FragmentData, FragmentEnergy, MarginalPrior, symmetric
 from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import Limits
@@ -90,13 +89,7 @@ def marginalised(
     right = np.concatenate([H[D:, :D], gradient[None, :D]]).T
     half, _ = lapack.dtrtrs(factor, right, lower=1)
     precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
-    precision = np.where(_lower(kept), precision, precision.T)  # the Hessian has zeros above its diagonal
-    return MarginalPrior(x[1:].copy(), precision, gradient[D:] - half[:, :-1].T @ half[:, -1]), factor, half
-
-
-@cache
-def _lower(size: int) -> Mask:
-    return np.tri(size, dtype=bool)
+    return MarginalPrior(x[1:].copy(), symmetric(precision), gradient[D:] - half[:, :-1].T @ half[:, -1]), factor, half
 
 
 _DAMPING: Final = 1e-6

@@ -27,7 +27,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import quaternions as quat
-from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.numerics import simd
 from rtof_kin.core.numerics.banded import Factor, Store
@@ -352,8 +352,7 @@ class FragmentEnergy:
 
     def hessian(self) -> Array:
         """Return the whole Hessian (N D, N D)."""
-        lower = self.lower_hessian()
-        return np.asarray(lower + np.tril(lower, -1).T)
+        return symmetric(self.lower_hessian())
 
     def lower_hessian(self) -> Array:
         """Return the Hessian (N D, N D) on and below its diagonal; zeros above."""
@@ -410,6 +409,16 @@ def _functions(
     name: str, terms: tuple[Term, ...], moving: tuple[str, ...], hinges: bool, compile: Compile
 ) -> FragmentFunctions:
     return FragmentFunctions.of(StateSpace(SkeletonModel.named(name), moving, hinges), terms, compile)
+
+
+def symmetric(lower: Array) -> Array:
+    """Return the symmetric matrix (n, n) that has the entries of a matrix on and below its diagonal."""
+    return np.where(_lower(len(lower)), lower, lower.T)
+
+
+@cache
+def _lower(size: int) -> Mask:
+    return np.tri(size, dtype=bool)
 
 
 @cache
