@@ -91,7 +91,8 @@ def confidence_of(
     turns = np.zeros_like(moves)
     turns[..., 3:] = np.swapaxes(rates, -1, -2)
     pairs = segment_pairs(skeleton)
-    others = [k for k, (parent, child) in enumerate(pairs) if not _adjacent(skeleton, parent, child)]
+    above = {names[j]: names[parent] for j, parent in enumerate(skeleton.parents) if parent >= 0}
+    others = [k for k, (parent, child) in enumerate(pairs) if above.get(child) != parent]
     children = skeleton.index(*(pairs[k][1] for k in others))
     seen_from = turns[:, children]
     apart = [i for i, k in enumerate(others) if pairs[k][0] != WORLD]
@@ -102,18 +103,13 @@ def confidence_of(
     for k, (parent, child) in enumerate(pairs):
         if child not in space.names or child in fixed:
             turned[:, k] = np.nan  # turned with its parent
-        elif _adjacent(skeleton, parent, child):
+        elif above.get(child) == parent:
             turned[:, k] = own[:, space.names.index(child)]
     turned[np.isnan(turned).any(axis=(2, 3))] = np.nan  # a hinge has zeros beside what is unknown
     positions = _covariance(moves, covariance)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan
     moves[..., :3] = 0.0  # as seen from the root
     return Confidence(times, names, positions, _covariance(moves, covariance), pairs, turned)
-
-
-def _adjacent(skeleton: SkeletonModel, parent: str, child: str) -> bool:
-    above = skeleton.parents[skeleton.names.index(child)]
-    return above >= 0 and skeleton.names[above] == parent
 
 
 def _covariance(J: Array, covariance: Array) -> Array:

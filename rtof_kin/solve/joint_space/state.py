@@ -172,17 +172,13 @@ class StateSpace:
 
     def point_rates(self, p: Array, R: Array, joints: Sequence[int], points: Array) -> Array:
         """Return derivatives (T, K, 3, D) of points (T, K, 3), m, on segments by the tangent, at p and R."""
-        (T, K, _), count = points.shape, self.size - 3
-        axes = np.moveaxis(self._axes_in_world(R), 2, 0)  # (3, T, D - 3)
-        centers = np.moveaxis(p[:, self._turning[0]], 2, 0)
-        cross, moved = np.zeros((T, 3, 3, count)), np.empty((T, 1, 3, count))
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # of axis x (point - center)
-            cross[:, k, i], cross[:, j, i] = axes[j], -axes[k]
-            moved[:, 0, i] = axes[j] * centers[k] - axes[k] * centers[j]
+        (T, K, _), (owners, _, moves) = points.shape, self._turning
+        cross = so3.skew(self._axes_in_world(R)).transpose(0, 3, 2, 1)  # of axis x (point - center)
         out = np.empty((T, K, 3, self.size))
         out[..., :3] = np.eye(3)
-        np.subtract((points @ cross.reshape(T, 3, -1)).reshape(T, K, 3, -1), moved, out=out[..., 3:])
-        out[..., 3:] *= self._turning[2][list(joints), None]
+        moved = np.einsum("tkid,tdk->tid", cross, p[:, owners])
+        np.subtract((points @ cross.reshape(T, 3, -1)).reshape(T, K, 3, -1), moved[:, None], out=out[..., 3:])
+        out[..., 3:] *= moves[list(joints), None]
         return out
 
     def rotation_covariances(self, covariance: Array) -> Array:
