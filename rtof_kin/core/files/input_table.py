@@ -294,9 +294,9 @@ def json_schema(model: type[InputTable]) -> dict[str, Any]:
     content = model.model_json_schema(schema_generator=_Schema)
     for node in (content, *content.get("$defs", {}).values()):
         node.pop("title", None)
-        for one in (node, *node["properties"].values()):
-            if "description" in one:
-                one["description"] = " ".join(one["description"].split())
+        if "description" in node:
+            node["description"] = " ".join(node["description"].split())
+        for one in node["properties"].values():
             if isinstance(one.get("default"), dict):  # of a table: those of its fields
                 del one["default"]
     return content
