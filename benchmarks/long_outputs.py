@@ -72,13 +72,13 @@ def repeated_measurements(given: Measurements, start: int, stop: int) -> Measure
     T = len(given.times)
     frames = np.concatenate([np.arange(T), np.arange(T - 2, 0, -1)])[np.arange(start, stop) % (2 * T - 2)]
 
-    def rows(record: Any) -> Any:
+    def rows(record: Any, **others: Any) -> Any:
         own = {one.name: getattr(record, one.name) for one in fields(record) if one.name != "times"}
-        own = {name: array[frames] for name, array in own.items() if np.shape(array)[:1] == (T,)}
-        return replace(record, times=np.arange(start, stop) / RATE_HZ, **own)
+        own = {name: array[frames] for name, array in own.items() if isinstance(array, np.ndarray) and len(array) == T}
+        return replace(record, times=np.arange(start, stop) / RATE_HZ, **(own | others))
 
     truth = None if given.truth is None else rows(given.truth)
-    return replace(rows(given), views=tuple(map(rows, given.views)), truth=truth)
+    return rows(given, views=tuple(map(rows, given.views)), truth=truth)
 
 
 def write_repeated(path: Path, motion: Motion, minutes: float) -> None:
