@@ -169,7 +169,7 @@ Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote th
 Model = Annotated[ReconstructionTask, Fields("model")]
 PERSON: Final = "subject update_subject"
 """Fields of `ReconstructionTask` for the person's file, of commands that may update it."""
-Models = Annotated[SetupSettings, Fields("model_dir provider")]
+Models = Annotated[SetupSettings, Fields("model_dir provider people_every")]
 FetchModels = Annotated[
     Literal["rtmpose", "mediapipe"] | None,
     Parameter(

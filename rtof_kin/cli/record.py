@@ -55,7 +55,7 @@ def run(
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height pose person camera_name phone_log keep_video model_dir provider layout every",
+            "height pose person camera_name phone_log keep_video model_dir provider layout every people_every",
             rate_hz="rate",
             size_px="size",
             group="Recording",
@@ -203,7 +203,7 @@ def detector_of(setup: SetupSettings, fetch: str | None, update: Progress | None
             model_dir = fetch_models(wanted, shown)
         for file in wanted.files:
             say(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published")
-    detector = choose_detector(model_dir, setup.provider)
+    detector = choose_detector(model_dir, setup.provider, setup.people_every)
     say(f"detector: {detector.name}")
     return detector
 
@@ -225,7 +225,7 @@ def detect(
     /,
     *,
     output: File = Path("keypoints.npz"),
-    setup: Annotated[SetupSettings, Fields("model_dir provider layout every")],
+    setup: Annotated[SetupSettings, Fields("model_dir provider layout every people_every")],
     fetch_models: FetchModels = None,
     seconds: Seconds = None,
     camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,

@@ -49,6 +49,7 @@ from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
 from rtof_kin.vision.layouts import Layout, is_layout_file, layout_named
+from rtof_kin.vision.person_detector import choose_detector
 from rtof_kin.vision.video import detect_video
 from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
 
@@ -106,8 +107,8 @@ def find_people(
     if detect is None:
 
         def detect(path: Path) -> Detections:
-            provider, every = settings.provider, settings.every
-            return detect_video(path, settings.model_dir, provider=provider, every=every, progress=progress)
+            detector = choose_detector(settings.model_dir, settings.provider, settings.people_every)
+            return detect_video(path, detector, every=settings.every, progress=progress)
 
     wanted = None if settings.layout is None else layout_named(settings.layout)
     found = _detections(sources, video, detect, wanted)

@@ -46,6 +46,9 @@ class SetupSettings:
     every: int = 1
     """Detect the person in every so many frames of a video only, where the detector is slow: the motion has the rate of
     these frames."""
+    people_every: int = 1
+    """Find people in every so many images of a video only, and look for them around their last points between: much
+    faster with .onnx models that find people and points in turn, as RTMPose with YOLOX. MediaPipe always does so."""
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 

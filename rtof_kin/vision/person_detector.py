@@ -44,6 +44,8 @@ class Detector(Protocol):
         """Release what it holds."""
 
 
+_SURE, _MARGIN = 0.3, 0.125
+"""Least score of a point by which a person is followed; space on either side of such points, as a share of theirs."""
 _WANTED = (
     "put an RTMPose body model (body with feet gives 26 points, body 17) and, for more than one person "
     "or a person far away, a YOLOX or RTMDet person detector there as .onnx files"
@@ -153,22 +155,54 @@ class RtmlibDetector:
 
 
 class OnnxDetector(RtmlibDetector):
-    """Detector of people and their keypoints; without a person model the image is one person."""
+    """Detector of people and their keypoints; without a person model the image is one person.
 
-    def __init__(self, folder: str | Path, provider: Provider = "cpu"):
-        """Load the models of a folder; rtmlib never downloads, as it gets files that exist. `FileFormatError` without
-        pose model, for several of a kind, or another kind; `RtofError` without the extra ``video`` or the provider.
+    People may be found in some images only, and looked for around their last points in those between (Bazarevsky et
+    al., BlazePose, 2020; Jiang et al., RTMPose, 2023), but are found anew where one of them has become unsure.
+    """
+
+    def __init__(self, folder: str | Path, provider: Provider = "cpu", people_every: int = 1):
+        """Load the models of a folder; rtmlib never downloads, as it gets files that exist. `people_every`: people are
+        found in every so many images. `FileFormatError` without pose model, for several of a kind, or another kind;
+        `InvalidInputError`: `people_every` is less than 1; `RtofError` without the extra ``video`` or the provider.
         """
         pose, people = _find_models(folder, provider)
         points, boxes = _run(pose), None if people is None else _run(people)
+        if people_every < 1:
+            raise InvalidInputError(f"people_every: {people_every}; give 1 or more: 10 is in every tenth image")
+        self._around: list[NDArray[np.float64]] = []
+        self._every, self._since = people_every, -1
 
         def of_boxes(image: Image) -> Any:
             height, width = image.shape[:2]
-            found = [[0, 0, width, height]] if boxes is None else boxes(image)
+            self._since = (self._since + 1) % people_every
+            found: Any = self._around if self._since else []
+            if not len(found):
+                found, self._since = [[0, 0, width, height]] if boxes is None else boxes(image), 0
             return points(image, bboxes=found) if len(found) else ([], [])
 
         names = " and ".join(model.path.name for model in (pose, people) if model is not None)
         super().__init__(points if pose.kind == "RTMO" else of_boxes, pose.points, f"{names} on {provider}")
+
+    def find(self, image: Image, time: float) -> list[Person]:
+        """Return the people in the next image of a video. image: (height, width, 3), BGR. time: of the image, s."""
+        people = super().find(image, time)
+        if self._every > 1:
+            people = _without_doubles(people)
+            self._around = _around(people)
+        return people
+
+
+def _around(people: list[Person]) -> list[NDArray[np.float64]]:
+    """Return boxes x, y, x, y, px, around the sure points of people; none where one has few."""
+    boxes = []
+    for person in people:
+        uv = person.points[person.points[:, 2] > _SURE, :2]
+        if len(uv) < len(person.points) / 2:
+            return []
+        low, high = uv.min(axis=0), uv.max(axis=0)
+        boxes.append(np.concatenate([low, high]) + _MARGIN * np.concatenate([low - high, high - low]))
+    return boxes
 
 
 def _run(model: _Model) -> Callable[..., Any]:
@@ -299,16 +333,17 @@ def _bundle() -> bytes:
     return bundle.getvalue()
 
 
-def choose_detector(models: str | Path | None = None, provider: Provider = "cpu") -> Detector:
+def choose_detector(models: str | Path | None = None, provider: Provider = "cpu", people_every: int = 1) -> Detector:
     """Return the given detector (folder of .onnx files or with a .task file, or a .task file), else one of downloaded
-    models, else MediaPipe's own. `provider`: runs .onnx models. Downloads nothing. `FileFormatError`: the models cannot
-    be used; `RtofError`: the provider is not at hand, or no detector; the message has the commands that provide one.
+    models, else MediaPipe's own. `provider`, `people_every`: of .onnx models, see `OnnxDetector`. Downloads nothing.
+    `FileFormatError`: the models cannot be used; `RtofError`: the provider is not at hand, or no detector; the message
+    has the commands that provide one.
     """
     if models is not None:
-        return _given(Path(models), provider)
+        return _given(Path(models), provider, people_every)
     for wanted in model_sets():
         if not wanted.missing and (folder := cached_models(wanted)) is not None:
-            return _given(folder, provider)
+            return _given(folder, provider, people_every)
     if contained_models() is not None:
         return _mediapipe(None, provider)
     ways = []
@@ -322,12 +357,12 @@ def choose_detector(models: str | Path | None = None, provider: Provider = "cpu"
     raise RtofError(f"no detector of people is at hand, and nothing is downloaded unasked. Choose one:\n{listed}")
 
 
-def _given(path: Path, provider: Provider) -> Detector:
+def _given(path: Path, provider: Provider, people_every: int) -> Detector:
     if path.suffix.lower() == ".task":
         return _mediapipe(path, provider)
     bundles = sorted(path.glob("*.task")) if path.is_dir() else []
     if not bundles or any(path.glob("*.onnx")):
-        return OnnxDetector(path, provider)
+        return OnnxDetector(path, provider, people_every)
     if len(bundles) > 1:
         names = ", ".join(bundle.name for bundle in bundles)
         raise FileFormatError(path, f"several models: {names}; leave one of them there")

@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.choices import Provider
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.packages import optional
@@ -51,7 +50,6 @@ def detect_video(
     source: str | Path | int,
     detector: Detector | str | Path | None = None,
     *,
-    provider: Provider = "cpu",
     every: int = 1,
     seconds: float | None = None,
     progress: Progress | None = None,
@@ -61,7 +59,6 @@ def detect_video(
     Args:
         source: video file, or number of a webcam; a webcam may be stopped with Ctrl-C.
         detector: one that was not used for another video, or the models for `choose_detector`; None: the one at hand.
-        provider: runs .onnx models that are not loaded yet.
         every: look at every so many frames only: the motion has their rate.
         seconds: duration after which to stop; required for a webcam.
         progress: called with ("detect", frames done, frames in total).
@@ -75,7 +72,7 @@ def detect_video(
         raise InvalidInputError(f"webcam {source}: give seconds, the duration of the recording")
     if every < 1:
         raise InvalidInputError(f"every: {every}; give 1 or more: 2 is every second frame")
-    chosen = choose_detector(detector, provider) if isinstance(detector, str | Path | None) else detector
+    chosen = choose_detector(detector) if isinstance(detector, str | Path | None) else detector
     times: list[float] = []
     people: list[list[Person]] = []
     spent: list[float] = []

@@ -25,13 +25,13 @@ from rtof_kin.vision.person_detector import (
     choose_detector,
     contained_models,
 )
-from rtof_kin.vision.video import detect_video
+from rtof_kin.vision.video import detect_video, read_video
 
 
 class Loaded:
     """Stands for a detector; remembers its models."""
 
-    def __init__(self, models: Path | None = None, provider: Provider = "cpu"):
+    def __init__(self, models: Path | None = None, provider: Provider = "cpu", people_every: int = 1):
         self.name, self.points = "own" if models is None else models.name, 17
         self.provider = provider
 
@@ -283,6 +283,34 @@ def test_a_person_detector_gives_several_people(film: Film, folder: Path) -> Non
     people_model(folder / "yolox.onnx", [[5, 5, 50, 50, 0.01]])
     with pytest.raises(FileFormatError, match="walk.mkv: there is no person"):
         detect_video(path, folder)
+
+
+def test_people_are_followed_by_their_points_between_images_in_which_they_are_found(
+    film: Film, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, uv = film
+    people_model(folder / "yolox.onnx", [[*uv[0].min(axis=0), *uv[0].max(axis=0), 0.9]])  # of the first image only
+    looked: list[int] = []
+    find, images = rtmlib.YOLOX.__call__, [frame.image for frame in read_video(path)]
+    monkeypatch.setattr(rtmlib.YOLOX, "__call__", lambda self, image: looked.append(1) or find(self, image))
+    for every, times in ((1, 10), (4, 3), (100, 1)):
+        looked.clear()
+        found = detect_video(path, OnnxDetector(folder, people_every=every))
+        assert len(looked) == times
+        assert found.uv_px.shape == (10, 1, 17, 2)
+        assert error_px(found.uv_px[:, 0], uv) < 3.0
+    detector = OnnxDetector(folder, people_every=100)
+    looked.clear()
+    shifted = [np.roll(image, 12 * k, axis=1) for k, image in enumerate(images)]  # away from where it was found
+    for k, image in enumerate(shifted):
+        (person,) = detector.find(image, 0.04 * k)
+        assert error_px(person.points[:, :2], uv[k] + [12 * k, 0]) < 3.0
+    assert len(looked) == 1
+    detector.find(np.zeros_like(images[0]), 0.4)
+    assert len(detector.find(images[0], 0.44)) == 1
+    assert len(looked) == 2  # who was lost is found anew
+    with pytest.raises(InvalidInputError, match="people_every: 0; give 1 or more"):
+        OnnxDetector(folder, people_every=0)
 
 
 def test_invalid_models_are_refused(folder: Path, tmp_path: Path) -> None:
