@@ -23,12 +23,13 @@ from rtof_kin.inertial import laws
 
 LAWS: Final = (laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE)
 """Names of the checks that fail for a wrong declaration of a unit or of axes."""
-_WHAT = {
+SIGNALS: Final = {
     "f_sensor": "acceleration",
     "w_sensor": "gyroscope",
     "m_sensor": "magnetometer",
     "R_inertial_sensor": "orientation",
 }
+"""Field of `SensorStream` -> what it holds."""
 _RATE = 1.0  # [%] deviation of the time stamps' rate from the declared one
 _JITTER = 25.0  # [%] 95th percentile of the steps' deviation from their median, without lost samples
 _LOST, _MISSING = 5.0, 5.0  # [%] of samples absent, and NaN
@@ -259,7 +260,7 @@ def _missing(stream: SensorStream, name: str, values: Array) -> Check:
     missing = int(np.sum(~np.isfinite(values).all(axis=-1)))
     share = 100 * missing / len(values)
     advice = f"{missing} of {len(values)} are not there"
-    return Check(f"missing samples of {_WHAT[name]}", stream.name, share, _MISSING, "%", advice)
+    return Check(f"missing samples of {SIGNALS[name]}", stream.name, share, _MISSING, "%", advice)
 
 
 def _stuck(stream: SensorStream, name: str, values: Array) -> Check:
@@ -273,7 +274,7 @@ def _stuck(stream: SensorStream, name: str, values: Array) -> Check:
     if len(values) > 2 and constant and name != "R_inertial_sensor":
         seconds = times[-1] - times[0]
         advice = f"Component {', '.join(constant)} never changes"
-    return Check(f"stuck values of {_WHAT[name]}", stream.name, float(seconds), _STUCK, "s", advice)
+    return Check(f"stuck values of {SIGNALS[name]}", stream.name, float(seconds), _STUCK, "s", advice)
 
 
 def _saturated(stream: SensorStream, name: str, values: Array) -> Check:
@@ -288,7 +289,7 @@ def _saturated(stream: SensorStream, name: str, values: Array) -> Check:
                     at_end[start:stop] |= stop - start >= 3
     share = 100 * float(at_end.mean())
     advice = "The motion was faster than the sensor can measure; set a larger range, or leave these out"
-    return Check(f"saturated samples of {_WHAT[name]}", stream.name, share, _SATURATED, "%", advice)
+    return Check(f"saturated samples of {SIGNALS[name]}", stream.name, share, _SATURATED, "%", advice)
 
 
 def _disturbed(stream: SensorStream, m_sensor: Array) -> Check:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -23,7 +23,6 @@ FOCAL, FOCAL_FACTOR = 1.2, 5.0
 CENTRE, ASPECT = 7.0, 3.0
 """Largest offset of the principal point from the centre, % of the width; largest difference of the focal
 lengths, %."""
-_BLOCK: Final = 4096  #: Frames that are projected at once
 REPROJECTION_PX: Final = 20.0  #: Largest median reprojection error, px; detectors are off by up to 13 px
 UNITS_M: Final = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "CMU units": 0.0254 / 0.45, "m": 1.0}
 """Units of length, m."""
@@ -72,17 +71,20 @@ def check_bone_lengths(lengths: Mapping[str, Array], limit_mm: float) -> list[Ch
     return checks
 
 
-def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
-    """Check that points (T, J, 3) are as far apart as those of a person; `metres` is the length of their unit."""
+def box_sizes(p: Array) -> Array:
+    """Return the diagonals (n,), m, of the boxes around points (T, J, 3), m, in the frames with five seen points."""
+    p = p[np.isfinite(p).all(axis=-1).sum(axis=1) >= 5]
+    return np.asarray(np.linalg.norm(np.nanmax(p, axis=1) - np.nanmin(p, axis=1), axis=-1))
+
+
+def check_size(sizes: Array) -> Check:
+    """Check that the points of a frame are as far apart as those of a person; sizes: of `box_sizes`."""
     name = "size of the person"
-    seen = np.isfinite(p).all(axis=-1).sum(axis=1) >= 5
-    if not seen.any():
+    if not len(sizes):
         return Check.unknown(name, "all points", "times", "in no frame are five points seen")
-    box = np.nanmax(p[seen], axis=1) - np.nanmin(p[seen], axis=1)
-    size = float(np.median(np.linalg.norm(box, axis=-1)))
-    fitting = {u for u, length in UNITS_M.items() if _factor(size * length / metres / SIZE) < 1.3}
-    others = [u for u in UNITS_M if u in fitting - {unit}]
-    advice = f"The points of a frame are {size:.3g} m apart, read in {unit}"
+    size = float(np.median(sizes))
+    others = [u for u, length in UNITS_M.items() if u != "m" and _factor(size * length / SIZE) < 1.3]
+    advice = f"The points of a frame are {size:.3g} m apart, read in m"
     if others:
         advice += f"; are they in {' or '.join(others)}?"
     return Check(name, "all points", _factor(size / SIZE), SIZE_FACTOR, "times", advice)
@@ -105,16 +107,15 @@ def check_camera(name: str, camera: Camera) -> list[Check]:
     ]
 
 
-def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Sequence[str]) -> Check:
-    """Check the median reprojection error of known positions; p_world: (T, J, 3) m, at their times."""
-    name, where = "median reprojection error", "truth in the camera"
-    common = [joint for joint in keypoints.names if joint in names]
-    index = [list(names).index(joint) for joint in common]
-    uv, blocks = keypoints.select(common).uv_px, range(0, len(keypoints), _BLOCK)
-    own = (p_world[start : start + _BLOCK, index] for start in blocks)
-    seen = np.concatenate([keypoints.camera.project(p) for p in own])
-    error = np.linalg.norm(uv - seen, axis=-1)
-    error = error[np.isfinite(error)]
+def check_reprojection(parts: Iterable[tuple[KeypointSequence, Array]], names: Sequence[str]) -> Check:
+    """Check the median reprojection error of known positions; parts: keypoints, and (n, J, 3) m at their times."""
+    name, where, errors = "median reprojection error", "truth in the camera", list[Array]()
+    for keypoints, p_world in parts:
+        common = [joint for joint in keypoints.names if joint in names]
+        seen = keypoints.camera.project(p_world[:, [list(names).index(joint) for joint in common]])
+        error = np.linalg.norm(keypoints.select(common).uv_px - seen, axis=-1)
+        errors.append(error[np.isfinite(error)])
+    error = np.concatenate(errors)
     if len(error) == 0:
         return Check.unknown(name, where, "px", "no joint is both known and seen")
     advice = f"{len(common)} joints, {len(error)} points: is it another camera, or another clock?"

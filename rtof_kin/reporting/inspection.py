@@ -6,9 +6,10 @@ Sensor logs are checked by `rtof_kin.inertial.physics`, bodies and cameras by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,14 +18,14 @@ import numpy as np
 from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import Check
-from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.signals import interpolate, runs
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import STANDARD_GRAVITY
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import STANDARD_GRAVITY, ImuSequence
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.asf_amc import read_asf_amc
@@ -35,11 +36,11 @@ from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.total_capture import read_cameras
 from rtof_kin.inertial.laws import at_rest, rates_of_orientation
-from rtof_kin.inertial.physics import check_log
+from rtof_kin.inertial.physics import SIGNALS, check_log
 from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import RecordingReader
-from rtof_kin.recording.streams import ALL
+from rtof_kin.recording.streams import Stream
 from rtof_kin.reporting.document import ESTIMATE, TRUTH, subplots
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
@@ -50,13 +51,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 Bones = Mapping[str, tuple[int, int]]
-_NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"
-_SIGNALS: Final = {
-    "f_sensor": "acceleration",
-    "w_sensor": "gyroscope",
-    "m_sensor": "magnetometer",
-    "R_inertial_sensor": "orientation",
-}
+_LONGEST_GAP: Final = 1.0  # [s] of the truth that is interpolated
 
 
 @dataclass(frozen=True)
@@ -129,7 +124,7 @@ def _log(path: Path, log: SensorLog) -> Inspection:
 
 def _stream(stream: SensorStream) -> str:
     seconds = float(stream.times[-1] - stream.times[0])
-    signals = ", ".join(_SIGNALS[name] for name in stream.holds)
+    signals = ", ".join(SIGNALS[name] for name in stream.holds)
     return f"{len(stream)} samples at {stream.rate_hz:.4g} Hz, {seconds:.1f} s: {signals}"
 
 
@@ -143,10 +138,14 @@ def _percent(seen: Mask) -> str:
     return f"{100 * float(seen.mean()):.0f} %"
 
 
-def _with_body(found: Inspection, p: Array, bones: Bones, limit_mm: float = bodies.RIGID_MM) -> Inspection:
-    """Add the checks of a body with joints or markers (T, J, 3)."""
-    lengths = bodies.bone_lengths(p, bones)
-    checks = (*found.checks, bodies.check_size(p), *bodies.check_bone_lengths(lengths, limit_mm))
+def _with_body(
+    found: Inspection, parts: Iterable[Array], bones: Bones, limit_mm: float = bodies.RIGID_MM
+) -> Inspection:
+    """Add the checks of a body with joints or markers, by parts (n, J, 3)."""
+    each = [(bodies.bone_lengths(p, bones), bodies.box_sizes(p)) for p in parts]
+    lengths = {bone: np.concatenate([own[bone] for own, _ in each]) for bone in bones}
+    sizes = np.concatenate([own for _, own in each])
+    checks = (*found.checks, bodies.check_size(sizes), *bodies.check_bone_lengths(lengths, limit_mm))
     return replace(found, checks=checks, bone_lengths=lengths)
 
 
@@ -155,51 +154,70 @@ def _recording(path: Path) -> Inspection:
     contents: list[tuple[str, str]] = []
     checks: list[Check] = []
     log: SensorLog | None = None
-    keypoints: KeypointSequence | None = None
     body = Inspection(path, "recording", ())
     with RecordingReader.open(path) as reader:
         streams, skeleton = reader.streams, reader.facts.skeleton
         if streams.keypoints is not None:
-            keypoints = streams.keypoints.part(ALL)
+            camera, seen = reader.facts.video.camera, [block.seen for block in streams.keypoints.blocks()]
             contents += [
-                ("keypoints", f"{_span(keypoints.times)}: {len(keypoints.names)} landmarks"),
-                ("seen", f"{_percent(keypoints.seen)} of them"),
-                ("camera", _camera(keypoints.camera)),
+                ("keypoints", f"{_span(streams.keypoints.times)}: {seen[0].shape[1]} landmarks"),
+                ("seen", f"{_percent(np.concatenate(seen))} of them"),
+                ("camera", _camera(camera)),
             ]
-            checks += bodies.check_camera("of the recording", keypoints.camera)
-        if streams.truth is not None:  # before the sensors: an hour of each is large
-            times, p = streams.truth.times, np.concatenate([block.p_world_joint for block in streams.truth.blocks()])
-            if keypoints is not None:
-                at = interpolate(times, p, keypoints.times)
-                body = replace(body, checks=(bodies.check_reprojection(keypoints, at, skeleton.names),))
-                del at
-            body = _with_body(body, p, bodies.skeleton_bones(skeleton.names, skeleton.parents))
-            del p
-        keypoints = None
-        return_free_memory()
+            checks += bodies.check_camera("of the recording", camera)
+        if streams.truth is not None:
+            if streams.keypoints is not None:
+                pairs = _with_truth(streams.keypoints, streams.truth)
+                body = replace(body, checks=(bodies.check_reprojection(pairs, skeleton.names),))
+            parts = (block.p_world_joint for block in streams.truth.blocks())
+            body = _with_body(body, parts, bodies.skeleton_bones(skeleton.names, skeleton.parents))
         if streams.imus is not None:
-            imus = streams.imus.part(ALL)
-            contents.append(("IMUs", f"{_span(imus.times)}: {', '.join(imus.names)}"))
-            log = SensorLog.of_imus(imus, path)
-            del imus
+            log = _sensors_of(streams.imus, path)
+            contents.append(("IMUs", f"{_span(streams.imus.times)}: {', '.join(log.names)}"))
             checks += check_log(log)
         if streams.truth is not None:
             contents.append(("truth", f"{_span(streams.truth.times)}: {len(skeleton.names)} joints"))
     return replace(body, contents=tuple(contents), checks=(*checks, *body.checks), log=log)
 
 
+def _sensors_of(imus: Stream[ImuSequence], path: Path) -> SensorLog:
+    """Return the sensors of a recording, which are read by blocks."""
+    names, T, start = imus.part(slice(0, 1)).names, len(imus), 0
+    arrays = [(np.empty((T, 3)), np.empty((T, 3, 3))) for _ in names]
+    for block in imus.blocks():
+        rows = slice(start, start := start + len(block))
+        for s, (f, R) in enumerate(arrays):
+            f[rows], R[rows] = block.f_sensor[:, s], block.R_inertial_sensor[:, s]
+    for array in chain(*arrays):
+        array.setflags(write=False)  # shared, not copied
+    streams = (SensorStream(name, imus.times, *own) for name, own in zip(names, arrays, strict=True))
+    return SensorLog(path, "IMUs of a recording", tuple(streams), Declaration())
+
+
+def _with_truth(
+    keypoints: Stream[KeypointSequence], truth: Stream[PoseSequence]
+) -> Iterator[tuple[KeypointSequence, Array]]:
+    """Yield the keypoints by blocks with the true positions (n, J, 3), m, then, NaN in longer gaps."""
+    for block in keypoints.blocks():
+        near = truth.between(block.times[0] - _LONGEST_GAP, block.times[-1] + _LONGEST_GAP)
+        if near is not None:
+            yield block, interpolate(near.times, near.p_world_joint, block.times, _LONGEST_GAP)
+
+
 def _motion(path: Path) -> Inspection:
+    found = Inspection(path, "reconstructed motion", ())
     with MotionReader(path) as file:
-        p = np.concatenate([block.motion.poses.p_world_joint for block in file.blocks()])
-        skeleton, mode, valid = file.skeleton, file.mode, file.masks.valid
-    bones = bodies.skeleton_bones(skeleton.names, skeleton.parents)
+        skeleton, mode = file.skeleton, file.mode
+        parts = (block.motion.poses.p_world_joint for block in file.blocks())
+        found = _with_body(found, parts, bodies.skeleton_bones(skeleton.names, skeleton.parents))
+        valid = file.masks.valid
     contents = (
         ("frames", _span(file.times)),
         ("skeleton", f"{skeleton.name}, {len(skeleton.names)} joints, {len(skeleton.dof_names)} angles"),
         ("mode", mode or "not stated"),
         ("valid", f"{_percent(valid)} of the joints"),
     )
-    return _with_body(Inspection(path, "reconstructed motion", contents), p, bones)
+    return replace(found, contents=contents)
 
 
 def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspection:
@@ -219,7 +237,7 @@ def _articulated(path: Path, title: str, motion: ArticulatedMotion) -> Inspectio
         ("skeleton", known),
     )
     bones = bodies.skeleton_bones(motion.names, motion.parents)
-    return _with_body(Inspection(path, title, contents, notes=tuple(notes)), p, bones)
+    return _with_body(Inspection(path, title, contents, notes=tuple(notes)), [p], bones)
 
 
 def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
@@ -233,7 +251,7 @@ def _markers(path: Path, title: str, markers: MarkerSequence) -> Inspection:
     )
     notes = () if bones else ("No two names give a joint and a side, so no bone can be checked",)
     found = Inspection(path, title, contents, notes=notes)
-    return _with_body(found, markers.p_world, bones, bodies.TRIANGULATED_MM)
+    return _with_body(found, [markers.p_world], bones, bodies.TRIANGULATED_MM)
 
 
 def _keypoints(path: Path) -> Inspection:
@@ -260,7 +278,7 @@ def _yaml(path: Path) -> Inspection:
         return _cameras(path, title, read_opencv_yaml(path))
     except FileFormatError:  # without a pose, the world has the axes of the camera
         found = _cameras(path, title, read_opencv_yaml(path, up="-y"))
-        return replace(found, notes=(_NO_POSE,))
+        return replace(found, notes=("There is no pose: the camera is assumed to be level, at the origin",))
 
 
 def _cameras(path: Path, title: str, cameras: Mapping[Any, Camera]) -> Inspection:

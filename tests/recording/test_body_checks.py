@@ -73,8 +73,8 @@ def test_a_bone_that_is_never_seen_cannot_be_told() -> None:
 
 @pytest.mark.parametrize("unit, metres", [("mm", 1000.0), ("cm", 100.0), ("inches", 1 / 0.0254)])
 def test_lengths_in_another_unit_are_no_person_and_the_unit_is_named(unit: str, metres: float) -> None:
-    assert bodies.check_size(walking()).passed
-    check = bodies.check_size(metres * walking())
+    assert bodies.check_size(bodies.box_sizes(walking())).passed
+    check = bodies.check_size(bodies.box_sizes(metres * walking()))
     assert check.failed
     assert unit in check.advice.split("are they in ")[1]
 
@@ -82,7 +82,7 @@ def test_lengths_in_another_unit_are_no_person_and_the_unit_is_named(unit: str, 
 def test_too_few_points_tell_no_size() -> None:
     p = walking()
     p[:, 2:] = np.nan
-    assert bodies.check_size(p).verdict is Verdict.NOT_POSSIBLE
+    assert bodies.check_size(bodies.box_sizes(p)).verdict is Verdict.NOT_POSSIBLE
 
 
 def test_an_ordinary_camera_passes_and_odd_ones_fail() -> None:
@@ -103,9 +103,9 @@ def test_reprojection_is_the_median_distance_of_what_both_have() -> None:
     p = walking()
     seen = camera().project(p) + np.array([3.0, 4.0])
     keypoints = KeypointSequence(camera(), np.arange(50) / 60, seen, np.ones((50, 7)), NAMES)
-    check = bodies.check_reprojection(keypoints, p[:, ::-1], NAMES[::-1])
+    check = bodies.check_reprojection([(keypoints, p[:, ::-1])], NAMES[::-1])
     assert check.passed
     assert check.value == pytest.approx(5.0)
-    assert bodies.check_reprojection(keypoints, p + np.array([0, 0.3, 0]), NAMES).failed
-    other = bodies.check_reprojection(keypoints, p[:, :1], ("Hips",))
+    assert bodies.check_reprojection([(keypoints, p + np.array([0, 0.3, 0]))], NAMES).failed
+    other = bodies.check_reprojection([(keypoints, p[:, :1])], ("Hips",))
     assert other.verdict is Verdict.NOT_POSSIBLE
