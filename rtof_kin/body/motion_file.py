@@ -31,9 +31,9 @@ Releases before HDF5 wrote ``motion.npz``, with arrays in place of the attribute
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +199,7 @@ def motion_folder(path: str | Path) -> Path:
     return found.parent
 
 
-class MotionReader(MotionSource):
+class MotionReader(MotionSource, AbstractContextManager["MotionReader"]):
     """A motion in a file, however long it is, of which any frames are read; a context that closes the file.
 
     Attributes:
@@ -223,13 +223,7 @@ class MotionReader(MotionSource):
             failed.pop_all()
         super().__init__(skeleton, times, self._frames, corrections=self._corrections)
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """Close the file."""
         self._file.close()
 
@@ -283,18 +277,6 @@ class MotionReader(MotionSource):
         for name, length in (*((n, frames) for n in needed), *((n, nodes) for n in covariances)):
             if shapes[name][0] != length:
                 raise ShapeError(f"{name}: arrays of different lengths, {shapes[name][0]} and {length}")
-
-    def read(self, start: int | None = None, stop: int | None = None, confidence: bool = True) -> Motion:
-        """Return frames [start, stop), by default from the first to the last. `FileFormatError`: the file is damaged,
-        or something in these frames is missing or invalid; `InvalidInputError`: there are no such frames.
-
-        Args:
-            confidence: whether to read it if there is one, which takes longest.
-        """
-        start, stop = start or 0, len(self) if stop is None else stop
-        if not 0 <= start < stop <= len(self):
-            raise InvalidInputError(f"{self.path}: no frames {start} to {stop}; it has {len(self)}")
-        return self._frames(start, stop, confidence)
 
     def _frames(self, start: int, stop: int, confidence: bool) -> Motion:
         rows = self._file.rows

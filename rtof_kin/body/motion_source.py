@@ -10,6 +10,7 @@ from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.environment import return_free_memory
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.corrections import Correction
 
@@ -81,6 +82,18 @@ class MotionSource(Sampled):
             return self._read(first + start, first + stop, confidence)
 
         return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last], self.corrections)
+
+    def read(self, start: int | None = None, stop: int | None = None, confidence: bool = True) -> Motion:
+        """Return frames [start, stop), by default from the first to the last. `FileFormatError`: the file is damaged,
+        or something in these frames is missing or invalid; `InvalidInputError`: there are no such frames.
+
+        Args:
+            confidence: whether to read it if there is one, which takes longest.
+        """
+        start, stop = start or 0, len(self) if stop is None else stop
+        if not 0 <= start < stop <= len(self):
+            raise InvalidInputError(f"motion: no frames {start} to {stop}; it has {len(self)}")
+        return self._read(start, stop, confidence)
 
     def with_times(self, times: Array) -> MotionSource:
         """Return the motion at other times, without confidence. times: (T,) s."""

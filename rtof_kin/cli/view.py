@@ -18,9 +18,6 @@ from rtof_kin.view.overlay_settings import OverlaySettings
 if TYPE_CHECKING:
     from rtof_kin.view.viewer import Opened
 
-_OTHERS = (
-    "only the tracked person's face is made unrecognisable, not those of other people, nor clothes, gait or the place"
-)
 Page = Parameter(group="One file that opens offline, instead of a server")
 
 
@@ -156,4 +153,7 @@ def overlay(
         say(f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are outside the motion")
     say(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""))
     if video is not None and settings.blur_face:
-        say(f"faces: {_OTHERS}; look at the whole film before you pass it on")
+        say(
+            "faces: only the tracked person's face is made unrecognisable, not those of other people, nor clothes, "
+            "gait or the place; look at the whole film before you pass it on"
+        )

@@ -27,9 +27,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors
+from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
@@ -79,7 +80,7 @@ def measurements_path(folder: Path) -> Path:
     return earlier if earlier.is_file() and not (folder / MEASUREMENTS).exists() else folder / MEASUREMENTS
 
 
-class MeasurementsReader:
+class MeasurementsReader(Sampled, AbstractContextManager["MeasurementsReader"]):
     """Measurements in a file, however long it is, of which any frames are read; a context that closes the file.
 
     Attributes:
@@ -106,16 +107,7 @@ class MeasurementsReader:
                 raise FileFormatError(self.path, f"arrays of different lengths, {len(self.times)} and {lengths.pop()}")
             failed.pop_all()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def close(self) -> None:
         """Close the file."""
         self._file.close()
 
@@ -136,6 +128,11 @@ class MeasurementsReader:
             for name in self._names:
                 arrays[name] = np.asarray(self._file.rows(name, start, stop), dtype=float)
             return _measurements(self._header, arrays)
+
+    def video_times(self, view: int) -> Array:
+        """Return the times (T,) s of all frames on the clock of a camera's video; `view`: of the camera, from 0."""
+        name = f"view_{view}_video_times"
+        return self._file.whole(name).astype(float) if name in self._names else self.times
 
 
 def read_measurements(path: str | Path) -> Measurements:

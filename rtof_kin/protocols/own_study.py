@@ -145,7 +145,7 @@ def _angles(path: Path, markers: MarkerSettings | None) -> ClinicalAngles:
     if path.suffix.lower() in TRIALS:
         return clinical_angles(motion_of_markers(path, markers).motion)
     with MotionReader(motion_path(path)) as reader:
-        return clinical_angles(reader.read())
+        return clinical_angles(reader)
 
 
 def reliability_table(study: Study) -> tuple[Table, set[str]]:

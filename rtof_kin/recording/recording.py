@@ -10,7 +10,7 @@ import json
 import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -411,7 +411,7 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
     return [f"{kind} {name} {digest.hexdigest()}" for name, digest in sorted(digests.items())]
 
 
-class RecordingReader(RecordingSource):
+class RecordingReader(RecordingSource, AbstractContextManager["RecordingReader"]):
     """A recording's folder of which spans of time are read when needed.
 
     It is checked as a whole when it is opened, by blocks; its samples are kept in temporary files.
@@ -432,13 +432,7 @@ class RecordingReader(RecordingSource):
             streams.check_clocks()
             return cls(first, streams, closing.pop_all())
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """Close the files and remove the temporary ones."""
         self._closing.close()
 

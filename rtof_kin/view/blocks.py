@@ -1,4 +1,4 @@
-"""`BlockCache`: what is drawn of the frames around the current one, computed once and ahead of time."""
+"""What is drawn of the frames around the current one: `BlockCache` computes it ahead of time, `Nearby` when needed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
 from typing import Final, Generic, TypeVar
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import RtofError
 
 BLOCK: Final = 256  #: Frames of a block
 _KEPT: Final = 8  # Blocks that are kept
 _AHEAD: Final = 0.4  # Part of a block after which the next one is computed
 T = TypeVar("T")
+Part = TypeVar("Part", covariant=True)
 
 
 class BlockCache(Generic[T]):
@@ -61,6 +63,19 @@ class BlockCache(Generic[T]):
         while len(self._blocks) > _KEPT:
             self._blocks.popitem(last=False)[1].cancel()
         return self._blocks[number]
+
+
+class Nearby(Generic[Part]):
+    """Parts of what may be longer than memory allows, each read when a frame in it is needed."""
+
+    def __init__(self, frames: int, read: Callable[[int, int], Part]):
+        """Read nothing yet. `frames`: of the whole. `read`: returns frames [start, stop)."""
+        self._part = lru_cache(2)(lambda number: read(number * BLOCK, min((number + 1) * BLOCK + 1, frames)))
+
+    def at(self, frames: Index) -> tuple[Part, Index]:
+        """Return the part with a frame and the next one, and their places in it; `frames`: (n,), none of others."""
+        number = int(frames.min()) // BLOCK
+        return self._part(number), frames - number * BLOCK
 
 
 def frame_at(times: Array, time: float) -> int:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ _POINT: Final = 0.009  # Size of a point relative to the depth
 _BEHIND: Final = 1.003  # Depth of the image relative to that of the points
 
 
-class VideoFrames:
+class VideoFrames(AbstractContextManager["VideoFrames"]):
     """Decodes the image that was asked for last: the last one at or before a time, in a thread."""
 
     def __init__(self, path: str | Path, receive: Callable[[Image], None]):
@@ -59,9 +59,6 @@ class VideoFrames:
         self._shown: Any = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"images of {self.path.name}")
         self._requested: Future[None] | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Stop."""

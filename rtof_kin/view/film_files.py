@@ -42,7 +42,7 @@ class Picture:
     """A picture to be drawn on."""
 
     image: Image  #: (height, width, 3), BGR
-    time: float  #: s, on the clock of --from and --to
+    time: float  #: s, on the clock of --start and --stop
     stamp: float  #: s, in the file that is written
     index: int  #: Counted from 0
     total: int  #: Number of pictures; 0 where unknown
@@ -126,13 +126,13 @@ def check_times(path: str | Path, metadata: VideoMetadata, view: PictureView, sh
         begin, end = shift, shift + seconds
         if end < first - step or begin > last + step:
             raise InvalidInputError(
-                f"{path}: with --shift {shift:g} it is from {begin:.2f} to {end:.2f} s, but {span}; give "
-                "that video, or by --shift how much later this one begins, s"
+                f"{path}: with --video-shift {shift:g} it is from {begin:.2f} to {end:.2f} s, but {span}; give "
+                "that video, or by --video-shift how much later this one begins, s"
             )
         if end < last - 2 * step or begin > first + 2 * step:
             notes.append(
                 f"{path} is from {begin:.2f} to {end:.2f} s, but {span}: is it another video, or a cut one? "
-                "Then give by --shift how much later it begins, s"
+                "Then give by --video-shift how much later it begins, s"
             )
     if rate is not None and step > 0 and abs(rate * step - 1) > _RATE:
         notes.append(

@@ -14,7 +14,6 @@ from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.measurements_file import MeasurementsReader
@@ -148,13 +147,7 @@ class MotionScene:
         measurements: MeasurementsReader | None = None,
         second: MotionReader | None = None,
     ):
-        """Add everything to the scene; nothing is shown before `show`. `InvalidInputError`: the measurements are of
-        another motion; `FileFormatError`: a damaged file.
-        """
-        if measurements is not None and len(measurements) != len(motion):
-            raise InvalidInputError(
-                f"{measurements.path}: has {len(measurements)} frames, the motion {len(motion)}; reconstruct again"
-            )
+        """Add everything to the scene; nothing is shown before `show`. `FileFormatError`: a damaged file."""
         self._server, self._motion, self._measurements, self._second = server, motion, measurements, second
         given = None if measurements is None else measurements.read(0, 1)
         start = motion.read(0, min(len(motion), 60))

@@ -9,22 +9,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import Motion
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.angle_table import SIDES, angle_table
-from rtof_kin.clinical.angles import clinical_angles
+from rtof_kin.clinical.angles import angles_and_paths
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import indices_of
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import COLOURS, Provenance, Rgb
 from rtof_kin.view.canvas import Box, Canvas, Image, Label, LabelLayout, Lettering, Stroke
 from rtof_kin.view.legend import WORDS
 from rtof_kin.view.overlay_settings import OverlaySettings
-from rtof_kin.view.projected_motion import Moment, ProjectedMotion, ProjectedPose, shown_provenance
+from rtof_kin.view.projected_motion import Moment, ProjectedMotion, ProjectedPose
 
 _HEAD: Final = "Head"
 _RADIUS: Final = 0.24 / 1.75
@@ -58,7 +59,6 @@ class FaceFinder:
         self._joint = skeleton.names.index(_HEAD) if _HEAD in skeleton.names else None
         self._offset = 0.5 * skeleton.landmarks.get("HeadTop", (_HEAD, np.zeros(3)))[1]
         self._radius = _RADIUS * skeleton.height
-        self._provenance = shown_provenance(projected.motion)
         names = projected.view.names
         own = {name: offset for name, (joint, offset) in skeleton.landmarks.items() if joint == _HEAD}
         self._detected = [i for i, name in enumerate(names) if name in own]
@@ -86,10 +86,10 @@ class FaceFinder:
     def _circle(self, frame: int) -> tuple[Array, float] | None:
         """Return middle and radius, px, of a region with the head in a frame; None where that is unknown."""
         j, projected = self._joint, self._projected
-        poses = projected.motion.poses
-        if j is None or self._provenance[frame, j] < Provenance.IMU:
+        if j is None or projected.provenance[frame, j] < Provenance.IMU:
             return None
-        p, R = poses.p_world_joint[frame, j], poses.R_world_bone[frame, j]
+        motion, own = projected.nearby.at(np.array([frame]))
+        p, R = motion.poses.p_world_joint[own[0], j], motion.poses.R_world_bone[own[0], j]
         around = p + R @ self._offset + self._radius * np.vstack([np.zeros(3), _DIRECTIONS])
         points = np.vstack([around, p + self._offsets @ R.T])
         uv = projected.view.project(points[None], np.array([frame]))[0]
@@ -168,18 +168,22 @@ class AngleLabels:
         return f"{self.titles[index]} {round(value)}°{band}".replace("-", "−")
 
 
-def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLabels:
+def angle_labels(motion: MotionSource, chosen: Sequence[str] | None = None) -> AngleLabels:
     """Return the labels of chosen angles.
 
     `chosen`: names of angles; by default `USUAL`, those with a value at any time. `UnknownNameError`: there is no such
     angle.
     """
-    angles = clinical_angles(motion)
+    table = angle_table(motion.skeleton.table)
+    child = {row.name: joint.child for joint in table.joints for row in joint.angles}
+    indices_of("clinical angle", chosen or (), list(child))
+    wanted = set(USUAL if chosen is None else chosen)
+    own = tuple(joint for joint in table.joints if wanted & {row.name for row in joint.angles})
+    (angles,), _ = angles_and_paths(motion, replace(table, joints=own or table.joints[:1]))
     known: Mask = np.asarray(np.isfinite(angles.trusted_values).any(axis=0))
     usual = [name for name in USUAL if name in angles.names and known[angles.names.index(name)]]
     names = tuple(usual if chosen is None else dict.fromkeys(chosen))
     angles = angles.select(names)
-    child = {row.name: joint.child for joint in angle_table(motion.skeleton.table).joints for row in joint.angles}
     half = np.full(angles.values.shape, np.nan) if angles.sigma is None else BAND_95 * angles.sigma
     joints = tuple(motion.skeleton.index(*(child[name] for name in names)))
     return AngleLabels(names, tuple(map(_short, names)), joints, np.degrees(angles.trusted_values), np.degrees(half))
@@ -233,12 +237,10 @@ class Captions:
         self, projected: ProjectedMotion, title: str, faults: Sequence[StreamFault], settings: OverlaySettings
     ):
         self._title, self._faults = title, faults
-        self._width, self._height = width_px, height_px = (
-            projected.view.camera.width_px,
-            projected.view.camera.height_px,
-        )
-        self._style = Style(width_px, height_px)
-        self.lettering = Lettering(max(round(_SIZE * float(np.sqrt(width_px * height_px))), _SMALLEST_PX))
+        camera = projected.view.camera
+        self._width, self._height = camera.width_px, camera.height_px
+        self._style = Style(self._width, self._height)
+        self.lettering = Lettering(max(round(_SIZE * float(np.sqrt(self._width * self._height))), _SMALLEST_PX))
         self._pad = max(self.lettering.size_px // 3, 3)
         self._swatch = 2 * self.lettering.size_px
         self._legend = self._legend_rows(projected, settings)
@@ -297,7 +299,7 @@ class Captions:
         self, projected: ProjectedMotion, settings: OverlaySettings
     ) -> list[list[tuple[int, str, Stroke | None]]]:
         """Return rows of entries: left end, px, text, and stroke, None for a detected point."""
-        style, bands = self._style, settings.bands and projected.motion.confidence is not None
+        style, bands = self._style, settings.bands and projected.covariance_px(0) is not None
         items: list[tuple[str, Stroke | None]] = [
             (WORDS[how], style.stroke(COLOURS[how])) for how in sorted(projected.provenances, reverse=True)
         ]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.observability import observed_landmarks
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.observability import ObservationMasks, observed_landmarks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.formats.measurements_file import MeasurementsReader
+from rtof_kin.view.blocks import Nearby
 
 _SIZE: Final = (1280, 720)  # [px] of a virtual camera's picture
 _FOCAL_PX: Final = 1400.0
@@ -34,9 +38,7 @@ class VirtualView:
     """A camera that looks at the person from the front, for motions without a camera."""
 
     camera: Camera  #: The virtual camera
-    video_times: Array  #: (T,) s, the motion's times
     moved: Array  #: (T, 3) m, subtracted from all points of a frame: the way of a person that is followed
-    names: tuple[str, ...] = ()  #: Nothing is detected
 
     def project(self, p_world: Array, frames: Any) -> Array:
         """Project points to pixels (n, ..., 2). `p_world`: (n, ..., 3) m. `frames`: (n,) of the motion."""
@@ -48,68 +50,80 @@ class VirtualView:
         return np.zeros((len(np.asarray(frames)), 0, 2))
 
 
-PictureView = KeypointSequence | VirtualView
-"""A view with the frames of a motion: a camera of `Measurements`, or a virtual one."""
-
-
-def virtual_view(motion: Motion) -> VirtualView:
-    """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
-    `InvalidInputError`: no frame of the motion has a pose.
-    """
-    p, R = motion.poses.p_world_joint, motion.poses.R_world_bone[:, 0]
-    known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))
-    if not known.any():
-        raise InvalidInputError("overlay: no frame of the motion has a pose, so there is nothing to show")
-    moved = np.zeros((len(p), 3))
-    middle, radius = _sphere(p[known])
-    if radius > _STANDS:
-        moved = np.where(known[:, None], p[:, 0] * (1.0, 1.0, 0.0), 0.0)
-        middle, radius = _sphere(p[known] - moved[known, None])
-    ahead = R[known, :, 0].sum(axis=0) * (1.0, 1.0, 0.0)
-    norm = float(np.linalg.norm(ahead))
-    ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
-    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)  # from which all points are seen
-    position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
-    return VirtualView(Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE), motion.times, moved)
-
-
-def _sphere(points: Array) -> tuple[Array, float]:
-    """Return the middle (3,) of points (T, J, 3) and their largest distance from it, m."""
-    middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
-    return middle, float(np.linalg.norm(points - middle, axis=-1).max())
-
-
 @dataclass(frozen=True)
-class ScaledView:
-    """A view in a picture of another size."""
+class PictureView:
+    """A camera with the frames of a motion, in a picture of any size."""
 
-    view: PictureView  #: Of the recorded size
-    scale: float  #: Pixels of the picture per pixel of the view's image
-    width_px: int  #: Width of the picture, px
-    height_px: int  #: Height of the picture, px
+    camera: Camera  #: With the size of the picture; the rest is of the recorded one
+    names: tuple[str, ...]  #: L names of the detected points
     video_times: Array  #: (T,) s of the motion's frames, on the clock of the pictures
+    parts: Nearby[KeypointSequence | VirtualView]  #: The frames, in pixels as recorded
+    scale: float = 1.0  #: Pixels of the picture per recorded pixel
 
-    @property
-    def camera(self) -> Camera:
-        """The camera with the size of the picture; its other fields are unchanged."""
-        return replace(self.view.camera, width_px=self.width_px, height_px=self.height_px)
+    @classmethod
+    def of(cls, measurements: MeasurementsReader, number: int) -> Self:
+        """Return a camera of a motion. `number`: of it, from 0."""
+        first, times = measurements.read(0, 1).views[number], measurements.video_times(number)
+        parts = Nearby(len(times), lambda start, stop: measurements.read(start, stop).views[number])
+        return cls(first.camera, first.names, times, parts)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `PictureView`."""
-        return self.view.names
+    def scaled(self, scale: float, size: tuple[int, int], video_times: Array) -> Self:
+        """Return the view in a picture of another size, px. `video_times`: (T,) s."""
+        camera = replace(self.camera, width_px=size[0], height_px=size[1])
+        return replace(self, camera=camera, scale=scale, video_times=video_times)
 
-    def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points (n, ..., 3) m of frames (n,) to pixels (n, ..., 2) of the picture."""
-        return self._scaled(self.view.project(p_world, frames))
+    def project(self, p_world: Array, frames: Index) -> Array:
+        """Project points (n, ..., 3) m of frames (n,), next to each other, to pixels (n, ..., 2) of the picture."""
+        part, own = self.parts.at(frames)
+        return self._scaled(part.project(p_world, own))
 
-    def in_video(self, frames: Any) -> Array:
-        """Return detected points (n, L, 2) in the picture. `frames`: (n,) of the motion."""
-        return self._scaled(self.view.in_video(frames))
+    def in_video(self, frames: Index) -> Array:
+        """Return detected points (n, L, 2) in the picture. `frames`: (n,) of the motion, next to each other."""
+        part, own = self.parts.at(frames)
+        return self._scaled(part.in_video(own))
 
     def _scaled(self, uv: Array) -> Array:
         """The first pixel's centre is (0, 0) in both pictures."""
         return (uv + 0.5) * self.scale - 0.5
+
+
+def virtual_view(motion: Motion | MotionSource) -> PictureView:
+    """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
+    `InvalidInputError`: no frame of the motion has a pose.
+    """
+    parts = [_whole_poses(block.motion.poses) for block in MotionSource.of(motion).blocks()]
+    known: Mask = np.concatenate([seen for seen, *_ in parts])
+    if not known.any():
+        raise InvalidInputError("overlay: no frame of the motion has a pose, so there is nothing to show")
+    points = [p for _, p, _ in parts if len(p)]
+    moved = np.zeros((len(known), 3))
+    middle, radius = _sphere(points)
+    if radius > _STANDS:
+        level = (1.0, 1.0, 0.0)
+        moved[known] = np.concatenate([p[:, 0] for p in points]) * level
+        middle, radius = _sphere([p - p[:, :1] * level for p in points])
+    ahead = np.concatenate([axis for *_, axis in parts]).sum(axis=0) * (1.0, 1.0, 0.0)
+    norm = float(np.linalg.norm(ahead))
+    ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
+    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)  # from which all points are seen
+    position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
+    camera = Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE)
+    views = Nearby(len(moved), lambda start, stop: VirtualView(camera, moved[start:stop]))
+    return PictureView(camera, (), motion.times, views)
+
+
+def _whole_poses(poses: PoseSequence) -> tuple[Mask, Array, Array]:
+    """Return a mask (T,) of frames without a gap, and of these the positions (n, J, 3) and the root's x axis (n, 3)."""
+    p, R = poses.p_world_joint, poses.R_world_bone[:, 0]
+    known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))
+    return known, p[known], R[known, :, 0]
+
+
+def _sphere(parts: Sequence[Array]) -> tuple[Array, float]:
+    """Return the middle (3,) of points, parts (n, J, 3), and their largest distance from it, m."""
+    ends = np.array([(p.min(axis=(0, 1)), p.max(axis=(0, 1))) for p in parts])
+    middle = (ends[:, 0].min(axis=0) + ends[:, 1].max(axis=0)) / 2
+    return middle, max(float(np.linalg.norm(p - middle, axis=-1).max()) for p in parts)
 
 
 @dataclass(frozen=True)
@@ -146,9 +160,12 @@ class ProjectedPose:
 class ProjectedMotion:
     """A motion with the ends of its limbs (head, hands, toes) in the pixels of a view."""
 
-    def __init__(self, motion: Motion, view: PictureView | ScaledView):
+    def __init__(self, given: Motion | MotionSource, view: PictureView):
+        motion = MotionSource.of(given)
         self.motion, self.view = motion, view
-        skeleton, poses = motion.skeleton, motion.poses
+        self.nearby = Nearby(len(motion), motion.read)
+        """The motion around a frame."""
+        skeleton = motion.skeleton
         ends = limb_ends(skeleton)
         J = len(skeleton.names)
         self.bones = (
@@ -158,22 +175,22 @@ class ProjectedMotion:
         """Pairs of points: parent, child."""
         self.names = (*skeleton.names, *ends)
         """P names of the points."""
-        index = [list(skeleton.landmarks).index(end) for end in ends]
-        landmarks = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)[:, index]
-        self._p_world = np.concatenate([poses.p_world_joint, landmarks], axis=1)
-        joints = shown_provenance(motion)
+        self._ends = [list(skeleton.landmarks).index(end) for end in ends]
+        self._known: Mask = np.concatenate(
+            [np.any(np.isfinite(block.motion.poses.p_world_joint).all(axis=2), axis=1) for block in motion.blocks()]
+        )
+        joints = shown_provenance(motion.masks)
         own = joints[:, [skeleton.names.index(skeleton.landmarks[end][0]) for end in ends]]
-        seen = observed_landmarks(motion)[:, index]
-        self._provenance = np.concatenate([joints, np.where(seen, own, np.minimum(own, _WEAKEST))], axis=1)
+        seen = observed_landmarks(motion.masks)[:, self._ends]
+        self.provenance = np.concatenate([joints, np.where(seen, own, np.minimum(own, _WEAKEST))], axis=1)
+        """(T, P) `Provenance` of the points."""
         times = view.video_times
         self._step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60
-        finite: Mask = np.asarray(np.isfinite(poses.p_world_joint).all(axis=2))
-        self._known: Mask = np.asarray(finite.any(axis=1))
 
     @property
     def provenances(self) -> tuple[Provenance, ...]:
         """Those that are drawn."""
-        drawn = self._provenance[self._provenance > _WEAKEST]
+        drawn = self.provenance[self.provenance > _WEAKEST]
         return tuple(Provenance(int(value)) for value in np.unique(drawn))
 
     def moment(self, video_time: float) -> Moment | None:
@@ -199,8 +216,11 @@ class ProjectedMotion:
     def pose(self, moment: Moment) -> ProjectedPose:
         """Return the person at an instant."""
         frames = moment.frames
-        uv = moment.mix(self.view.project(self._p_world[frames], frames))
-        provenance = self._provenance[frames].min(axis=0)
+        motion, own = self.nearby.at(frames)
+        p, R = motion.poses.p_world_joint[own], motion.poses.R_world_bone[own]
+        points = np.concatenate([p, self.motion.skeleton.landmark_positions(p, R)[:, self._ends]], axis=1)
+        uv = moment.mix(self.view.project(points, frames))
+        provenance = self.provenance[frames].min(axis=0)
         drawn = (provenance > _WEAKEST) & (provenance >= Provenance.IMU).any()
         uv = np.where(drawn[:, None], uv, np.nan)
         return ProjectedPose(float(moment.mix(self.motion.times[frames])), uv, provenance)
@@ -211,24 +231,23 @@ class ProjectedMotion:
 
     def covariance_px(self, frame: int) -> Array | None:
         """Return covariances (J, 2, 2) px^2 of the joints in the picture; None without a confidence."""
-        confidence = self.motion.confidence
-        if confidence is None:
+        motion, own = self.nearby.at(np.array([frame]))
+        if motion.confidence is None:
             return None
-        p = self.motion.poses.p_world_joint[frame]
-        moved = p[:, None] + _STEP * np.vstack([np.zeros(3), np.eye(3)])
-        uv = self.view.project(moved[None], np.array([frame]))[0]
+        moved = motion.poses.p_world_joint[own, :, None] + _STEP * np.vstack([np.zeros(3), np.eye(3)])
+        uv = self.view.project(moved, np.array([frame]))[0]
         J = np.swapaxes(uv[:, 1:] - uv[:, :1], -1, -2) / _STEP
-        return np.asarray(J @ confidence.position_covariance[frame] @ np.swapaxes(J, -1, -2))
+        return np.asarray(J @ motion.confidence.position_covariance[own[0]] @ np.swapaxes(J, -1, -2))
 
 
-def shown_provenance(motion: Motion) -> NDArray[np.uint8]:
+def shown_provenance(motion: Motion | ObservationMasks) -> NDArray[np.uint8]:
     """Return `Provenance` (T, J) as it is drawn: unreliable positions count as unobserved.
 
     A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.
     """
-    poses = motion.poses
-    given = poses.provenance if poses.provenance.any() else np.full(poses.provenance.shape, Provenance.CAMERA)
-    shown = np.where(poses.valid, given, np.minimum(given, _WEAKEST))
+    masks = ObservationMasks.of(motion)
+    given = masks.provenance if masks.has_provenance else np.full(masks.provenance.shape, Provenance.CAMERA)
+    shown = np.where(masks.valid, given, np.minimum(given, _WEAKEST))
     return np.asarray(shown, dtype=np.uint8)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -20,6 +19,7 @@ from rtof_kin.core.packages import optional
 from rtof_kin.view.legend import Verdict, corner_html, legend_html
 from rtof_kin.view.motion_scene import ELLIPSOIDS, MotionScene
 from rtof_kin.view.viewer import Opened, local_server, motion_files
+from rtof_kin.vision.video import Progress
 
 LARGEST_MB: Final = 50.0  #: [MB] Default limit of the file
 FASTEST_HZ: Final = 30.0  #: Default rate of the frames
@@ -32,7 +32,6 @@ _POLICY: Final = (
 )
 """The browser loads nothing from elsewhere."""
 _PATIENCE: Final = 3600.0  # [s] until a frame is read; a file of hours takes minutes
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def write_static_page(
             if rate < slowest_hz:
                 raise InvalidInputError(
                     f"{path}: would need {base + each * len(frames):.0f} MB, and more than {largest_mb:g} MB "
-                    f"even at {slowest_hz:g} frames per second; write a part of it (--from, --to), or allow "
+                    f"even at {slowest_hz:g} frames per second; write a part of it (--start, --stop), or allow "
                     "more (--limit)"
                 )
             frames = frames_of_page(times, start, stop, rate)

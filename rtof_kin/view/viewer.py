@@ -7,16 +7,16 @@ import logging
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rtof_kin.body.motion_file import MotionReader, motion_path
-from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SourceError
 from rtof_kin.core.local_door import LOOPBACK, Door
 from rtof_kin.core.packages import install, optional
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, measurements_path
@@ -47,12 +47,16 @@ class Opened:
 
 @contextmanager
 def motion_files(motion: str | Path, second: str | Path | None = None) -> Iterator[Opened]:
-    """Open the files of a viewer and close them at the end. `motion`, `second`: folders or files of motions."""
+    """Open the files of a viewer and close them at the end. `motion`, `second`: folders or files of motions.
+    `FileFormatError`: a file is missing or damaged, or the measurements are of another motion.
+    """
     path, notes = motion_path(motion), []
     with ExitStack() as stack:
         opened, measurements = stack.enter_context(MotionReader(path)), None
         if (beside := measurements_path(path.parent)).is_file():
             measurements = stack.enter_context(MeasurementsReader(beside))
+            if not np.array_equal(measurements.times, opened.times):
+                raise FileFormatError(beside, "is not of the motion.h5 beside it; reconstruct again")
         else:
             notes.append(
                 f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "
@@ -62,7 +66,7 @@ def motion_files(motion: str | Path, second: str | Path | None = None) -> Iterat
         yield Opened(opened, measurements, other, read_verdict(path.parent), tuple(notes))
 
 
-class MotionViewer:
+class MotionViewer(AbstractContextManager["MotionViewer"]):
     """A motion in the browser; `run` plays it until it is stopped."""
 
     def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
@@ -91,9 +95,6 @@ class MotionViewer:
         self.frame = 0
         self.sent = 0
         """Number of frames that were sent to the browsers."""
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Stop all threads."""

@@ -22,11 +22,18 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import Provenance
+from rtof_kin.view.blocks import Nearby
+from rtof_kin.view.projected_motion import PictureView
 
 Image = NDArray[np.uint8]
 CELL = 24
 """[px] size of a bit of a frame's number; they stand in a row in the middle of the left border."""
 BITS = 6
+
+
+def picture_view(seen: KeypointSequence) -> PictureView:
+    """Return the view of a camera that is in memory."""
+    return PictureView(seen.camera, seen.names, seen.video_times, Nearby(len(seen), lambda a, b: seen[a:b]))
 
 
 def motion_with(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from overlay_support import motion_with, upright_camera
+from overlay_support import motion_with, picture_view, upright_camera
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
@@ -23,7 +23,7 @@ NOW = Moment(3, 3, 0.0)
 def finder_of(motion: Motion, uv: np.ndarray | None = None) -> FaceFinder:
     found = CAMERA.project(motion.poses.p_world_joint) if uv is None else uv
     seen = KeypointSequence(CAMERA, motion.times, found, np.ones(found.shape[:2]), motion.poses.names)
-    return FaceFinder(ProjectedMotion(motion, seen))
+    return FaceFinder(ProjectedMotion(motion, picture_view(seen)))
 
 
 @pytest.mark.parametrize("sigma", [None, 0.01, 0.05])

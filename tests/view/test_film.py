@@ -152,7 +152,7 @@ def test_shift_moves_the_motion(
     (image,), _ = read_film(tmp_path / "o.mp4")
     at = middles(skeleton, camera, 0.1)["LeftLeg"]
     assert np.linalg.norm(colour_at(image, at) - COLOURS[Provenance.CAMERA_AND_IMU]) < 75
-    with pytest.raises(InvalidInputError, match="--shift 60"):
+    with pytest.raises(InvalidInputError, match="--video-shift 60"):
         write_overlay(out, tmp_path / "p.mp4", video, settings=replace(NO_LABELS, shift=60.0))
     assert not (tmp_path / "p.mp4").exists()
 
@@ -175,7 +175,7 @@ def test_a_smaller_copy_of_the_video_is_scaled_and_another_shape_refused(
 
 
 @pytest.mark.parametrize(
-    ("height", "frames", "said"), [(HEIGHT - 8, 30, ("by 8 px",)), (HEIGHT, 3, ("0.00 to 0.48 s", "--shift"))]
+    ("height", "frames", "said"), [(HEIGHT - 8, 30, ("by 8 px",)), (HEIGHT, 3, ("0.00 to 0.48 s", "--video-shift"))]
 )
 def test_a_video_that_is_cut_or_too_short_is_said(
     out: Path, tmp_path: Path, height: int, frames: int, said: tuple[str, ...]

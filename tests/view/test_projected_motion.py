@@ -6,28 +6,33 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from overlay_support import motion_with, upright_camera
+from overlay_support import motion_with, picture_view, upright_camera
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera, CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
+from rtof_kin.view.blocks import BLOCK
 from rtof_kin.view.projected_motion import (
     Moment,
+    PictureView,
     ProjectedMotion,
-    ScaledView,
     limb_ends,
     shown_provenance,
     virtual_view,
 )
 
 
-def view_of(motion: Motion, camera: Camera, offset: float = 0.0) -> KeypointSequence:
+def seen_by(motion: Motion, camera: Camera, offset: float = 0.0) -> KeypointSequence:
     uv = camera.project(motion.poses.p_world_joint)
     return KeypointSequence(
         camera, motion.times, uv, np.ones(uv.shape[:2]), motion.poses.names, own_times=motion.times + offset
     )
+
+
+def view_of(motion: Motion, camera: Camera, offset: float = 0.0) -> PictureView:
+    return picture_view(seen_by(motion, camera, offset))
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +54,20 @@ def test_pose_is_the_projection_of_the_frame_or_between_two(motion: Motion, came
     np.testing.assert_allclose(middle.uv_px[:21], 0.25 * truth[7] + 0.75 * truth[8], atol=1e-6)
     assert middle.time == pytest.approx(0.25 * motion.times[7] + 0.75 * motion.times[8])
     np.testing.assert_allclose(projected.detected(between), 0.25 * truth[7] + 0.75 * truth[8], atol=1e-6)
+
+
+def test_poses_are_those_of_their_frames_where_one_part_of_the_motion_ends(
+    skeleton: SkeletonModel, camera: Camera
+) -> None:
+    motion = motion_with(skeleton, BLOCK + 20, sigma=0.01, way=0.3)
+    projected = ProjectedMotion(motion, view_of(motion, camera))
+    truth = camera.project(motion.poses.p_world_joint)
+    for before in (BLOCK - 2, BLOCK - 1, BLOCK, BLOCK + 18):
+        moment = Moment(before, before + 1, 0.25)
+        expected = 0.75 * truth[before] + 0.25 * truth[before + 1]
+        np.testing.assert_allclose(projected.pose(moment).uv_px[:21], expected, atol=1e-6)
+        np.testing.assert_allclose(projected.detected(moment), expected, atol=1e-6)
+        assert projected.covariance_px(before + 1) is not None
 
 
 def test_there_is_no_pose_outside_the_motion_in_its_gaps_and_where_it_is_unknown(
@@ -142,8 +161,8 @@ def test_covariance_in_the_picture_is_that_of_projected_samples(skeleton: Skelet
 
 def test_a_view_of_another_size_keeps_pixel_centres(motion: Motion, camera: Camera) -> None:
     view = view_of(motion, camera)
-    half = ScaledView(view, 0.5, 320, 240, view.video_times)
-    frames = np.array([0, 3])
+    half = view.scaled(0.5, (320, 240), view.video_times)
+    frames = np.array([2, 3])
     p = motion.poses.p_world_joint[frames]
     np.testing.assert_allclose(half.project(p, frames), (view.project(p, frames) + 0.5) / 2 - 0.5)
     np.testing.assert_allclose(half.in_video(frames), (view.in_video(frames) + 0.5) / 2 - 0.5)
@@ -156,7 +175,7 @@ def test_the_pose_follows_a_camera_that_turned(motion: Motion, camera: Camera) -
     angles = np.linspace(-0.2, 0.3, len(motion.times))
     R_still_camera = so3.about_axis("y", angles) @ so3.about_axis("z", np.full(len(angles), 0.1))
     turning = CameraTurning(replace(camera, stabilised=False), still.K, R_still_camera)
-    view = replace(view_of(motion, still), turning=turning)
+    view = picture_view(replace(seen_by(motion, still), turning=turning))
     pose = ProjectedMotion(motion, view).pose(Moment(20, 20, 0.0))
     R = R_still_camera[20].T @ still.R_camera_world
     turned = replace(camera, R_camera_world=R, t_camera_world=-R @ still.center_world)

@@ -135,6 +135,6 @@ def test_long_motion_is_thinned_out_or_refused_and_files_are_kept(tmp_path: Path
         assert thin.size_mb < limit * 1.02
         assert thin.frames < whole.frames == 60
         assert thin.rate_hz < 50
-        with local_server() as server, pytest.raises(InvalidInputError, match="--from, --to"):
+        with local_server() as server, pytest.raises(InvalidInputError, match="--start, --stop"):
             write_static_page(server, files, tmp_path / "b.html", largest_mb=0.82)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "page.html"]

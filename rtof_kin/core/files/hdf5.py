@@ -209,7 +209,7 @@ def held(path: Path, file: h5py.File, name: str) -> Any:
     return file[name]
 
 
-class ArrayFile:
+class ArrayFile(AbstractContextManager["ArrayFile"]):
     """Arrays and attributes of an .h5 or .npz file; a context that closes it.
 
     Attributes:
@@ -239,9 +239,6 @@ class ArrayFile:
                 self.close()
                 raise
         self.shapes: dict[str, tuple[int, ...]] = {name: array.shape for name, array in self._arrays.items()}
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
