@@ -21,14 +21,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty import (
-    CovarianceInflation,
-    Disagreement,
-    ResidualStatistics,
-    disagreement,
-    outer_squares,
-    residual_statistics,
-)
+from rtof_kin.solve.uncertainty import CovarianceInflation, ResidualStatistics, disagreement, residual_statistics
 
 EVERY = 4
 """Step between the frames evaluated one by one; neighbours are correlated."""
@@ -52,7 +45,7 @@ class Case:
     """Confidence from the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""
-    apart: Disagreement
+    apart: Confidence
     """The solution from its start."""
     p_camera_joint: Array
     """(T, J, 3) m, joints as seen from the camera, world axes."""
@@ -64,8 +57,8 @@ class Case:
         return inflation.apply(self.motion.confidence, self.circumstances, self.apart, self.p_camera_joint)
 
     def __getitem__(self, frames: slice) -> Self:
-        own = {name: getattr(self, name)[frames] for name in ("motion", "truth", "p_camera_joint")}
-        return replace(self, apart=Disagreement(*(d[frames] for d in self.apart)), **own)
+        own = ("motion", "truth", "p_camera_joint", "apart")
+        return replace(self, **{name: getattr(self, name)[frames] for name in own})
 
     @property
     def motion_name(self) -> str:
@@ -110,7 +103,7 @@ def case_of(result: Reconstruction, clip: MocapClip, camera: int, keypoints: str
     carriers = () if result.bone_imus is None else result.bone_imus.joints
     stated = residual_statistics(result.keypoints, result.motion, lifted, carriers)
     start = result.stages.get("sf2", lifted)
-    apart = disagreement(result.motion.poses, start, solution.confidence.pairs)
+    apart = disagreement(result.motion.poses, start, solution.confidence)
     p_camera_joint = motion.poses.p_world_joint - result.keypoints.camera.center_world
     true = at_times(truth, motion.times)
     return Case(f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint, clip.rig)
@@ -133,21 +126,19 @@ def errors(case: Case, confidence: Confidence | None = None) -> Iterator[tuple[s
     assert stated is not None
     p, p_true = case.motion.poses.p_world_joint, case.truth.p_world_joint
     seen = [p - p_true, (p - p[:, :1]) - (p_true - p_true[:, :1])]
-    covariances = stated.position_covariance, stated.relative_covariance
-    apart = case.apart
-    for kind, error, covariance, off in zip(
-        ("position", "relative"), seen, covariances, (apart.position, apart.relative), strict=True
-    ):
+    for kind, error in zip(("position", "relative"), seen, strict=True):
+        covariance, off = (getattr(of, f"{kind}_covariance") for of in (stated, case.apart))
         for j, name in enumerate(stated.names):
             if kind == "position":
-                depth = outer_squares(case.p_camera_joint[:, j])
+                away = case.p_camera_joint[:, j]
+                depth = away[:, :, None] * away[:, None, :]
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j], depth)
             elif j > 0:
                 yield kind, name, _known(error[:, j], covariance[:, j], off[:, j])
     R, R_true = case.motion.poses.R_world_bone, case.truth.R_world_bone
     for k, (parent, child) in enumerate(stated.pairs):
         error = turn_error(R, R_true, stated.names, parent, child)
-        yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], apart.turn[:, k])
+        yield "turn", f"{parent} {child}", _known(error, stated.turn_covariance[:, k], case.apart.turn_covariance[:, k])
 
 
 def angle_errors(case: Case, confidence: Confidence, regular: bool = False) -> Iterator[tuple[str, Array, Array]]:

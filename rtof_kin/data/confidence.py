@@ -8,8 +8,9 @@ axis is the root of the mean diagonal of a covariance; +-1.96 of it is a 95 % ba
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from copy import copy
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -56,14 +57,19 @@ class Confidence(OverTime):
 
     def scaled(self, factor: float) -> Self:
         """Return the covariances times a factor; NaN stays."""
-        return replace(self, **{name: factor * getattr(self, name) for name in _COVARIANCES})
+        return self.changed(**{name: factor * getattr(self, name) for name in _COVARIANCES})
 
     def plus(self, other: Self) -> Self:
         """Return the sum with the covariances of independent errors of the same motion; NaN counts as 0."""
-        both: dict[str, Any] = {
-            name: getattr(self, name) + np.nan_to_num(getattr(other, name)) for name in _COVARIANCES
-        }
-        return replace(self, **both)
+        return self.changed(**{n: getattr(self, n) + np.nan_to_num(getattr(other, n)) for n in _COVARIANCES})
+
+    def changed(self, **fields: Array) -> Self:
+        """Return it with other fields, which are not checked: sums, parts or K C K of those of valid ones."""
+        out = copy(self)
+        for name, value in fields.items():
+            value.setflags(write=False)
+            object.__setattr__(out, name, value)
+        return out
 
     @property
     def position_sigma(self) -> Array:
@@ -94,10 +100,9 @@ def per_axis(covariance: Array) -> Array:
 
 def joined(parts: Sequence[Confidence]) -> Confidence:
     """Concatenate consecutive parts of one motion."""
-    whole: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("times", *_COVARIANCES)
-    }
-    return replace(parts[0], **whole)
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("times", *_COVARIANCES)}
+    checked_times("confidence times", whole["times"])
+    return parts[0].changed(**whole)
 
 
 def valid_covariances(matrices: Array) -> Mask:

@@ -10,7 +10,7 @@ import numpy as np
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.data.confidence import BAND_95, Confidence
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.position import PositionErrors
@@ -81,7 +81,7 @@ def with_covariances(
     sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
     statistics = residual_statistics(prepared.recording.video, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
-    apart = disagreement(motion.poses, start, solution.confidence.pairs)
+    apart = disagreement(motion.poses, start, solution.confidence)
     p_camera_joint = motion.poses.p_world_joint - prepared.recording.video.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
     kept = {*sensors} - {fault.what for fault in prepared.rejected}
@@ -92,9 +92,11 @@ def with_covariances(
     if variances := mounting_variances(prepared):  # constant errors of orientations
         added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in inflated.pairs])
         turns = inflated.turn_covariance + added[:, None, None] * np.eye(3)
-        inflated = replace(inflated, turn_covariance=turns)
+        inflated = inflated.changed(turn_covariance=turns)
     wide, position = position.added(inflated, motion.poses)
-    return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), position
+    for other in others:
+        wide = wide.plus(disagreement(motion.poses, other, wide))
+    return replace(motion, confidence=wide), position
 
 
 def mounting_variances(prepared: Prepared) -> dict[str, float]:
@@ -132,16 +134,3 @@ def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
         "was estimated from the video, or in a pose held by eye, and not measured at a known angle; "
         "changes of an angle within the recording are not affected",
     )
-
-
-def with_camera_uncertainty(confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]) -> Confidence:
-    """Return covariances with those of `others` added: with a camera or clocks one standard deviation off."""
-    for other in others:
-        apart = disagreement(poses, other, confidence.pairs)
-        confidence = replace(
-            confidence,
-            position_covariance=confidence.position_covariance + apart.position,
-            relative_covariance=confidence.relative_covariance + apart.relative,
-            turn_covariance=confidence.turn_covariance + apart.turn,
-        )
-    return confidence

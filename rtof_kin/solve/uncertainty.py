@@ -35,10 +35,11 @@ is wrong, which the Hessian at the solution does not show. `CovarianceInflation`
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
+from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,36 +62,28 @@ from rtof_kin.vision.image_points import image_points, measurements
 WINDOW: Final = 0.15  #: [s] averaged before and after a frame
 
 
-class Disagreement(NamedTuple):
-    """Mean squares of differences between two estimates of a motion; zero where one is missing."""
-
-    position: Array  #: (T, J, 3, 3) m^2, of joints' positions in world
-    relative: Array  #: (T, J, 3, 3) m^2, of positions less the root's, in world's axes
-    turn: Array  #: (T, P, 3, 3) rad^2, of pairs' orientations, in the child's axes
-
-
-def disagreement(solved: PoseSequence, start: PoseSequence, pairs: Sequence[tuple[str, str]]) -> Disagreement:
-    """Return the difference of two estimates, averaged over `WINDOW`; `pairs`: of segments, as `Confidence.pairs`."""
+def disagreement(solved: PoseSequence, start: PoseSequence, like: Confidence) -> Confidence:
+    """Return mean squares of differences over `WINDOW`; 0 where one is missing. `like`: one of the times and pairs."""
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)
     world = np.broadcast_to(np.eye(3), (len(off), 1, 3, 3))
     R = [np.concatenate([poses.R_world_bone, world], axis=1) for poses in (solved, start)]
-    parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
+    parents, children = np.array([[names.index(name) for name in pair] for pair in like.pairs]).T
     seen = [np.swapaxes(r[:, parents], -1, -2) @ r[:, children] for r in R]
     turn = so3.known_log(np.swapaxes(seen[1], -1, -2) @ seen[0])
-    reach = round(WINDOW * solved.rate_hz)
-    return Disagreement(*(_mean_square(d, reach) for d in (off, off - off[:, :1], turn)))
+    parts, reach = zip(like.rows, (off, off - off[:, :1], turn), strict=True), round(WINDOW * solved.rate_hz)
+    return like.changed(**{name: _mean_square(d, reach) for name, d in parts})
 
 
 def _mean_square(d: Array, reach: int) -> Array:
     """(T, n, 3, 3) mean of the outer products of vectors (T, n, 3) over frames up to `reach` away."""
     d = np.where(np.isfinite(d).all(axis=-1, keepdims=True), d, 0.0)
-    square = outer_squares(d)
-    total = np.concatenate([np.zeros((1, *square.shape[1:])), np.cumsum(square, axis=0)])
-    i = np.arange(len(d))
+    i, total, mean = np.arange(len(d)), np.zeros((len(d) + 1, d.shape[1])), np.empty((*d.shape, 3))
     first, stop = np.maximum(i - reach, 0), np.minimum(i + reach + 1, len(d))
-    mean = (total[stop] - total[first]) / (stop - first)[:, None, None, None]
-    return np.asarray((mean + np.swapaxes(mean, -1, -2)) / 2)
+    for a, b in combinations_with_replacement(range(3), 2):
+        np.cumsum(d[..., a] * d[..., b], axis=0, out=total[1:])
+        mean[..., a, b] = mean[..., b, a] = (total[stop] - total[first]) / (stop - first)[:, None]
+    return mean
 
 
 UNITS: Final = {"position": "m", "relative": "m", "turn": "rad"}
@@ -221,44 +214,40 @@ class CovarianceInflation:
         self,
         confidence: Confidence,
         statistics: ResidualStatistics,
-        apart: Disagreement | None = None,
+        apart: Confidence | None = None,
         p_camera_joint: Array | None = None,
     ) -> Confidence:
         """Return inflated covariances.
 
         Args:
-            apart: of solution and initial guess, at the same times; None: D = 0.
+            apart: `disagreement` of solution and initial guess; None: D = 0.
             p_camera_joint: (T, J, 3) m, joints as seen from the camera, world axes; None: f = 0.
         """
-        names, root, m = confidence.names, confidence.names[0], statistics.autocorrelation
-        pairs = [" ".join(pair) for pair in confidence.pairs]
+        root, m = confidence.names[0], statistics.autocorrelation
 
-        def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
+        def widened(kind: str) -> Array:
+            entries = [" ".join(pair) for pair in confidence.pairs] if kind == "turn" else confidence.names
             seen = [seen_by(kind, name, root, statistics.sensors) for name in entries]
             tables = [self.widenings[who][kind] for who in seen]
             own = [table.get(unsided(name), table[OTHER]) for name, table in zip(entries, tables, strict=True)]
             factor = np.array([correlated_factor(w.factor, m) for w in own])
             torso = [statistics.torso_factor(kind, who) for who in seen]
             floor = np.array([w.floor * m * d for w, d in zip(own, torso, strict=True)])
-            scale = factor[:, :, None] * factor[:, None, :]
-            wide = covariance * scale + np.eye(3) * floor[:, :, None] ** 2
+            wide = getattr(confidence, f"{kind}_covariance") * (factor[:, :, None] * factor[:, None, :])
+            wide += np.eye(3) * floor[:, :, None] ** 2
             if apart is not None:
                 shares = np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])
-                wide += shares[:, None, None] ** 2 * getattr(apart, kind)
+                wide += shares[:, None, None] ** 2 * getattr(apart, f"{kind}_covariance")
             return np.asarray(wide)
 
-        relative = widened("relative", names, confidence.relative_covariance)
-        relative[:, 0] = 0.0  # the root relative to itself
-        position = widened("position", names, confidence.position_covariance)
+        wide = {f"{kind}_covariance": widened(kind) for kind in UNITS}
+        wide["relative_covariance"][:, 0] = 0.0  # the root relative to itself
         if p_camera_joint is not None:
             depth = self.depths.get(seen_by("position", root, root, statistics.sensors), 0.0)
-            position += (m * depth) ** 2 * outer_squares(p_camera_joint)
-        return replace(
-            confidence,
-            position_covariance=position,
-            relative_covariance=relative,
-            turn_covariance=widened("turn", pairs, confidence.turn_covariance),
-        )
+            wide["position_covariance"] += (
+                (m * depth) ** 2 * p_camera_joint[..., :, None] * p_camera_joint[..., None, :]
+            )
+        return confidence.changed(**wide)
 
 
 def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
@@ -276,11 +265,6 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
         return "fused" if both_bones_sensed(sensors) else "camera"
     needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
     return "sensed" if needs <= {*sensors} else "fused"
-
-
-def outer_squares(vectors: Array) -> Array:
-    """Return the matrices ``v v^T`` (..., 3, 3) of vectors (..., 3)."""
-    return np.asarray(vectors[..., :, None] * vectors[..., None, :])
 
 
 def unsided(name: str) -> str:
@@ -417,4 +401,4 @@ def leg_spread(
     position, turn = ((excess[:, None] * factors)[..., None, None] ** 2 * np.eye(3) for factors in (joints, turns))
     relative = position.copy()
     relative[:, 0] = 0.0
-    return replace(confidence, position_covariance=position, relative_covariance=relative, turn_covariance=turn)
+    return confidence.changed(position_covariance=position, relative_covariance=relative, turn_covariance=turn)

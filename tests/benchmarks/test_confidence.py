@@ -71,7 +71,7 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     stated = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
     q = np.tile(BODY.t_pose(), (T, 1))
     motion = Motion(BODY, q, poses, BODY.check(q), stated)
-    apart = disagreement(poses, poses, PAIRS)
+    apart = disagreement(poses, poses, stated)
     told_of = ResidualStatistics(CARRIERS[sensors])
     away = truth.p_world_joint + np.array([0.0, 4.0, 0.0])
     return Case(f"m{number}/0", "realistic", sensors, told_of, motion, truth, apart, away, "a rig")
@@ -231,7 +231,7 @@ def test_a_curve_has_its_largest_error_and_sides_are_pooled() -> None:
 def test_frames_of_a_case_are_those_of_all_its_parts() -> None:
     own = case(0)[::4]
     assert own.motion.confidence is not None
-    parts = (own.truth, own.motion.poses, own.motion.confidence, own.p_camera_joint, *own.apart)
+    parts = (own.truth, own.motion.poses, own.motion.confidence, own.p_camera_joint, own.apart)
     assert {len(part) for part in parts} == {38}
 
 

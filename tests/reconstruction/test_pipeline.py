@@ -106,7 +106,7 @@ def test_calibration_keeps_the_prior_of_the_lifter(case: Case) -> None:
 @pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
 def test_covariance_grows_with_the_distance_from_the_start(results: Results, mode: str, start: str, seen: str) -> None:
     motion = results[mode].motion
-    apart = disagreement(motion.poses, results[mode].stages[start], motion.confidence.pairs).relative[:, 1:]
+    apart = disagreement(motion.poses, results[mode].stages[start], motion.confidence).relative_covariance[:, 1:]
     added = CovarianceInflation.shipped().shares[seen]["relative"] ** 2 * np.trace(apart, axis1=2, axis2=3)
     stated = np.trace(motion.confidence.relative_covariance[:, 1:], axis1=2, axis2=3)
     assert (stated > added).all()

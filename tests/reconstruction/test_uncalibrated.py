@@ -14,13 +14,13 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.reconstruction.pipeline import calibrate_camera, reconstruct
-from rtof_kin.reconstruction.quality import with_camera_uncertainty
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import excerpt, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.solve.uncertainty import disagreement
 
 PLANTED = np.array([0.0, np.radians(-5.0), np.radians(5.0), 0.0, 0.0])
 UNSURE = CameraUncertainty(focal=0.1, tilt=np.radians(5.0), height=0.02)
@@ -115,7 +115,8 @@ def test_covariances_are_those_of_solutions_with_other_cameras() -> None:
     motion = true.motion
     before = motion.confidence
     shifted = replace(motion.poses, p_world_joint=motion.poses.p_world_joint + np.array([0.3, 0, 0]))
-    after = with_camera_uncertainty(before, motion.poses, [shifted, shifted])
+    apart = disagreement(motion.poses, shifted, before)
+    after = before.plus(apart).plus(apart)
     added = after.position_covariance - before.position_covariance
     np.testing.assert_allclose(added[:, 3], np.broadcast_to(np.diag([0.18, 0, 0]), added[:, 3].shape), atol=1e-9)
     np.testing.assert_allclose(after.relative_covariance, before.relative_covariance, atol=1e-9)

@@ -19,7 +19,7 @@ from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics import c_compiler, simd
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.solve.joint_space import fragment as fragment_module
-from rtof_kin.solve.joint_space.fragment import MADE_BY, FragmentData, FragmentEnergy, _made_of, built_energy
+from rtof_kin.solve.joint_space.fragment import MADE_BY, FragmentData, FragmentEnergy, built_energy, made_of
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.joint_space.terms import BUILT_IN, jerk_sigma
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -282,10 +282,10 @@ def test_energies_of_other_terms_bodies_and_functions_from_outside_are_told_apar
     space = js.built("bare").space
     ball, terms = StateSpace(js.BODY, js.MOVING, False), js.built("bare").shape.terms(space)
     own = (*terms, MotionTerm("m", "Hips", 1))
-    texts = [_made_of(space, terms), _made_of(ball, terms), _made_of(space, terms[1:]), _made_of(space, own)]
+    texts = [made_of(space, terms), made_of(ball, terms), made_of(space, terms[1:]), made_of(space, own)]
     assert len({*texts}) == 4
     assert all(texts)
-    assert _made_of(space, (*terms, PointTerm("p", "Hips", position, 3))) == ""
+    assert made_of(space, (*terms, PointTerm("p", "Hips", position, 3))) == ""
 
 
 def test_sigma_of_the_jerk_is_the_priors_times_a_factor() -> None:

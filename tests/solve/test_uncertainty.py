@@ -27,7 +27,6 @@ from rtof_kin.solve.uncertainty import (
     WINDOW,
     CovarianceInflation,
     CurveFactors,
-    Disagreement,
     ResidualStatistics,
     Widening,
     autocorrelation,
@@ -96,7 +95,7 @@ def test_share_of_the_disagreement_is_added() -> None:
     found = CovarianceInflation(given.widenings, {"fused": {"relative": 0.5, "turn": 0.25}})
     off = np.zeros((2, 3, 3, 3))
     off[1, 1, 0, 0] = 4.0
-    apart = Disagreement(off, off, off[:, :2])
+    apart = confidence().changed(position_covariance=off, relative_covariance=off, turn_covariance=off[:, :2])
     statistics = ResidualStatistics(("LeftLeg",))
     plain, wide = (found.apply(confidence(), statistics, of) for of in (None, apart))
     np.testing.assert_allclose(wide.relative_covariance - plain.relative_covariance, 0.25 * off)
@@ -200,6 +199,14 @@ def test_invalid_file_is_refused(tmp_path: Path, text: str, message: str) -> Non
 
 SOLVED = planted.moving(BODY, 60, 2).poses
 PAIRS_UNCERTAINTY_DISAGREEMENT = ((WORLD, "Hips"), ("Hips", "LeftUpLeg"), (WORLD, "LeftUpLeg"))
+LIKE = Confidence(
+    SOLVED.times,
+    BODY.names,
+    np.zeros((60, 21, 3, 3)),
+    np.zeros((60, 21, 3, 3)),
+    PAIRS_UNCERTAINTY_DISAGREEMENT,
+    np.zeros((60, 3, 3, 3)),
+)
 (THIGH,) = BODY.index("LeftUpLeg")
 
 
@@ -207,36 +214,32 @@ def test_it_has_the_size_and_the_direction_of_the_difference() -> None:
     shift, turn = np.array([0.03, 0.0, -0.04]), np.array([0.0, 0.2, 0.0])
     p, R = SOLVED.p_world_joint + shift, np.array(SOLVED.R_world_bone)
     R[:, THIGH] = R[:, THIGH] @ so3.exp(-turn)
-    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p, R_world_bone=R), PAIRS_UNCERTAINTY_DISAGREEMENT)
-    np.testing.assert_allclose(found.position[10, THIGH], np.outer(shift, shift), atol=1e-12)
-    assert np.abs(found.relative).max() < 1e-12  # the root is off as far
-    np.testing.assert_allclose(found.turn[10, 1], np.outer(turn, turn), atol=1e-12)
-    np.testing.assert_allclose(found.turn[10, 2], found.turn[10, 1], atol=1e-12)
-    assert np.abs(found.turn[:, 0]).max() < 1e-12
+    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p, R_world_bone=R), LIKE)
+    np.testing.assert_allclose(found.position_covariance[10, THIGH], np.outer(shift, shift), atol=1e-12)
+    assert np.abs(found.relative_covariance).max() < 1e-12  # the root is off as far
+    np.testing.assert_allclose(found.turn_covariance[10, 1], np.outer(turn, turn), atol=1e-12)
+    np.testing.assert_allclose(found.turn_covariance[10, 2], found.turn_covariance[10, 1], atol=1e-12)
+    assert np.abs(found.turn_covariance[:, 0]).max() < 1e-12
 
 
 def test_neighbours_in_time_count_alike_and_the_ends_have_fewer() -> None:
     p = np.array(SOLVED.p_world_joint)
     p[30, THIGH, 2] += 0.1
-    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p), PAIRS_UNCERTAINTY_DISAGREEMENT).relative[
-        :, THIGH, 2, 2
-    ]
+    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p), LIKE).relative_covariance[:, THIGH, 2, 2]
     reach = round(WINDOW * SOLVED.rate_hz)
     assert found[30 - reach] == found[30 + reach] == pytest.approx(0.01 / (2 * reach + 1))
     assert found[29 - reach] == pytest.approx(0.0, abs=1e-15)
     p[:, THIGH] = SOLVED.p_world_joint[:, THIGH]
     p[0, THIGH, 2] += 0.1
-    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p), PAIRS_UNCERTAINTY_DISAGREEMENT).relative[
-        :, THIGH, 2, 2
-    ]
+    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p), LIKE).relative_covariance[:, THIGH, 2, 2]
     assert found[0] == pytest.approx(0.01 / (reach + 1))
 
 
 def test_what_is_not_known_is_not_apart() -> None:
     p, R = np.array(SOLVED.p_world_joint), np.array(SOLVED.R_world_bone)
     p[:20], R[:20] = np.nan, np.nan
-    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p, R_world_bone=R), PAIRS_UNCERTAINTY_DISAGREEMENT)
-    for part in (found.position, found.relative, found.turn):
+    found = disagreement(SOLVED, replace(SOLVED, p_world_joint=p, R_world_bone=R), LIKE)
+    for part in (found.position_covariance, found.relative_covariance, found.turn_covariance):
         assert np.isfinite(part).all()
         assert np.abs(part).max() < 1e-12
 

@@ -170,7 +170,7 @@ void banded_forward(const double *l, double *x, Int size, Int band, Int step) {
   }
 }
 
-/* Numbers of a column, and columns, of the working space of `banded_inverse`, before two rows of that times WIDE. */
+/* Numbers of a column, and columns, of the working space of `banded_inverse`, before a row of that times WIDE. */
 Int banded_side(Int band) { return 2 * (band + TILE + WIDE) + 8 * WIDE; }
 
 /* Diagonal blocks of `block` columns from the last of `count` to that of `begin`, of the inverse Z, into `out`. The part
@@ -179,9 +179,9 @@ Int banded_side(Int band) { return 2 * (band + TILE + WIDE) + 8 * WIDE; }
 void banded_inverse(const double *l, double *z, double *out, Int size, Int band, Int step, Int block, Int begin,
                     Int count) {
   const Int side = banded_side(band), reach = band + TILE + WIDE;
-  double *g = z + side * side, *h = g + side * WIDE;
+  double *g = z + side * side;
   Int origin = size + reach - side, next = count - 1;
-  memset(z, 0, (side + 2 * WIDE) * side * sizeof(double));
+  memset(z, 0, (side + WIDE) * side * sizeof(double));
   for (Int first = size - WIDE; next >= begin; first -= WIDE) {
     if (first < origin) {
       const Int from = first + WIDE - origin, to = side - reach;
@@ -191,7 +191,7 @@ void banded_inverse(const double *l, double *z, double *out, Int size, Int band,
     }
     const Int own = first - origin, below = own + WIDE;
     const double *corner = l + first + first * step;
-    double inverse[WIDE][WIDE] = {{0}}; /* of the corner */
+    V inverse[WIDE] = {{0}}; /* rows of that of the corner */
     for (int c = 0; c < WIDE; c++) {
       inverse[c][c] = 1 / corner[c + c * step];
       for (int r = c + 1; r < WIDE; r++) {
@@ -201,32 +201,35 @@ void banded_inverse(const double *l, double *z, double *out, Int size, Int band,
       }
     }
     V squared[WIDE];
-    for (int a = 0; a < WIDE; a++)
-      for (int b = 0; b < WIDE; b++) {
-        double sum = 0;
-        for (int r = a > b ? a : b; r < WIDE; r++) sum += inverse[r][a] * inverse[r][b];
-        squared[a][b] = sum;
-      }
-    for (Int k = 0; k < band; k++)
-      for (int c = 0; c < WIDE; c++) {
-        double sum = 0;
-        for (int b = c; b < WIDE; b++) sum += corner[WIDE + k + b * step] * inverse[b][c];
-        g[k * WIDE + c] = sum;
-      }
+#pragma GCC unroll 8
+    for (int a = 0; a < WIDE; a++) {
+      squared[a] = (V){0};
+#pragma GCC unroll 8
+      for (int r = a; r < WIDE; r++) squared[a] += inverse[r][a] * inverse[r];
+    }
+    for (Int k = 0; k < band; k++) {
+      V sum = {0};
+#pragma GCC unroll 8
+      for (int b = 0; b < WIDE; b++) sum += corner[WIDE + k + b * step] * inverse[b];
+      *(U *)(g + k * WIDE) = sum;
+    }
     for (Int row = 0; row < band; row += TILE) {
       V t[WIDE][DEEP];
       for (int c = 0; c < WIDE; c++)
         for (int d = 0; d < DEEP; d++) t[c][d] = (V){0};
       less(t, z + below + row + below * side, side, g, WIDE, band);
-      for (int r = 0; r < TILE && row + r < band; r++)
-        for (int c = 0; c < WIDE; c++) h[(row + r) * WIDE + c] = t[c][r / WIDE][r % WIDE];
+#pragma GCC unroll 8
+      for (int c = 0; c < WIDE; c++) /* rows beyond the band are never read */
+#pragma GCC unroll 3
+        for (int d = 0; d < DEEP; d++) *(U *)(z + below + row + d * WIDE + (own + c) * side) = t[c][d];
     }
     for (Int k = 0; k < band; k++) {
-      const V known = *(const U *)(h + k * WIDE);
+      V known;
+#pragma GCC unroll 8
+      for (int c = 0; c < WIDE; c++) known[c] = z[below + k + (own + c) * side];
 #pragma GCC unroll 8
       for (int a = 0; a < WIDE; a++) squared[a] -= g[k * WIDE + a] * known;
       *(U *)(z + own + (below + k) * side) = known;
-      for (int c = 0; c < WIDE; c++) z[below + k + (own + c) * side] = known[c];
     }
     for (int a = 0; a < WIDE; a++) /* symmetric, else rounding errors grow */
       for (int b = 0; b < WIDE; b++) z[own + a + (own + b) * side] = (squared[a][b] + squared[b][a]) / 2;

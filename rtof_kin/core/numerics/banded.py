@@ -146,7 +146,7 @@ class Store:
 
     def _inverse(self, factor: Array, block: int, first: int, count: int) -> Array:
         out, side = np.empty((count - first, block, block)), self._code.banded_side(self.band)
-        space = np.empty(side * (side + 2 * self._code.banded_wide()))
+        space = np.empty(side * (side + self._code.banded_wide()))
         sizes = self._blocked, self.band, self.step, block, first, count
         self._code.banded_inverse(factor.ctypes.data, space.ctypes.data, out.ctypes.data, *sizes)
         return out
@@ -181,16 +181,11 @@ def _opened(cache: Path) -> Any:
 
     def loaded(library: Path) -> Any:
         opened = ctypes.CDLL(str(library))
-        pointer, count = ctypes.c_void_p, ctypes.c_longlong
-        opened.banded_factorise.argtypes = [pointer, pointer, count, count, count, ctypes.c_double]
-        opened.banded_factorise.restype = count
-        opened.banded_side.argtypes, opened.banded_side.restype = [count], count
-        opened.banded_inverse.argtypes = [pointer, pointer, pointer, *[count] * 6]
-        opened.banded_inverse.restype = None
-        opened.banded_solve.argtypes = [pointer, pointer, count, count, count]
-        opened.banded_solve.restype = None
-        opened.banded_forward.argtypes = [pointer, pointer, count, count, count]
-        opened.banded_forward.restype = None
+        kinds = {"p": ctypes.c_void_p, "n": ctypes.c_longlong, "x": ctypes.c_double}
+        given = {"factorise": "ppnnnx", "side": "n", "inverse": "pppnnnnnn", "solve": "ppnnn", "forward": "ppnnn"}
+        for name, arguments in given.items():
+            function = getattr(opened, f"banded_{name}")
+            function.argtypes, function.restype = [kinds[kind] for kind in arguments], ctypes.c_longlong
         return opened
 
     code = built(text, lambda: text, loaded, ("-O3", *native()), "banded") if native() else None

@@ -89,7 +89,7 @@ class PositionErrors:
         worst = int(open_.argmax())
         named = [CAMERA_UNKNOWNS[i].name for i in np.argsort(-open_) if open_[i] > _BESIDE**2 * open_[worst]]
         named = list(dict.fromkeys(named))
-        more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
+        more = d @ self.moment @ np.swapaxes(d, -1, -2)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
         remedy = CAMERA_UNKNOWNS[worst].remedy
         if self.camera.uncertainty is not None:
@@ -97,7 +97,7 @@ class PositionErrors:
         what = " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
         verb = "is" if len(named) == 1 else "are"
         words = f"{what} {verb} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
-        return replace(confidence, position_covariance=position), replace(self, unverified=words)
+        return confidence.changed(position_covariance=position), replace(self, unverified=words)
 
     def seen(self, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, image: ImageExcerpt) -> Self:
         """Return what the evidence of a recording leaves open; `image` is an excerpt, lifted without sensors."""

@@ -22,8 +22,8 @@ exercises (61 to 80 %).
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import combinations_with_replacement
-from typing import Final
+from functools import cache
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,9 +31,11 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
+from rtof_kin.core.numerics.simd import FrameFunction, Mapped, compile_simd
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy, made_of
 from rtof_kin.solve.joint_space.layout import LAGS
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import StateSpace
@@ -51,7 +53,7 @@ def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solve
     except SolverError:
         return np.full((N, D, D), np.nan)
     covariance = factor.inverse_diagonal(D, LAGS)
-    covariance[~np.isfinite(covariance).all(axis=(1, 2))] = np.nan
+    covariance[~np.isfinite(covariance.sum(axis=(1, 2)))] = np.nan
     return covariance
 
 
@@ -63,8 +65,11 @@ def blended(earlier: Array, later: Array, share: Array) -> Array:
     Args:
         earlier, later: (T, D, D). share: (T,) weight of the later one in the blend.
     """
-    mean = (1 - share)[:, None, None] * earlier + share[:, None, None] * later
-    return np.where(np.isnan(earlier), later, np.where(np.isnan(later), earlier, mean))
+    mean = (later - earlier) * share[:, None, None] + earlier
+    for one, other in ((earlier, later), (later, earlier)):
+        lost = np.isnan(one[:, 0, 0])
+        mean[lost] = other[lost]
+    return np.asarray(mean)
 
 
 def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
@@ -81,44 +86,37 @@ def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys(pairs))
 
 
+@cache
+def _covariances(
+    name: str, moving: tuple[str, ...], hinged: bool, pairs: tuple[tuple[str, str], ...]
+) -> tuple[FrameFunction, Any]:
+    """Return the function of `Frame.covariances` and its compiled code, None where there is none."""
+    space = StateSpace(SkeletonModel.named(name), moving, hinged)
+
+    def build() -> tuple[list[FrameFunction], None]:
+        from rtof_kin.solve.joint_space.energy import Frame
+
+        names = [WORLD, *space.skeleton.names]  # WORLD becomes -1
+        at = [(names.index(parent) - 1, names.index(child) - 1) for parent, child in pairs]
+        return [FrameFunction.of(Frame(space, ()).covariances(at), (1,))], None
+
+    with BUILDING:
+        found = compile_simd(build, f"{made_of(space, ())} {pairs}")
+        return (found.functions["covariances"], found.code["covariances"]) if found else (build()[0][0], None)
+
+
 def confidence_of(
     space: StateSpace, times: Array, x: Array, covariance: Array, fixed: Collection[str] = ()
 ) -> Confidence:
     """Return the covariances of positions and orientations from those of tangents (T, D, D) at states x (T, 3 + 4A)."""
-    skeleton, (p, R) = space.skeleton, space.poses(x)
-    rates, names = space.turn_rates(R), skeleton.names
-    moves = space.point_rates(p, R, range(len(names)), p)
-    turns = np.zeros_like(moves)
-    turns[..., 3:] = np.swapaxes(rates, -1, -2)
-    pairs = segment_pairs(skeleton)
-    above = {names[j]: names[parent] for j, parent in enumerate(skeleton.parents) if parent >= 0}
-    others = [k for k, (parent, child) in enumerate(pairs) if above.get(child) != parent]
-    children = skeleton.index(*(pairs[k][1] for k in others))
-    seen_from = turns[:, children]
-    apart = [i for i, k in enumerate(others) if pairs[k][0] != WORLD]
-    seen_from[:, apart] -= turns[:, skeleton.index(*(pairs[others[i]][0] for i in apart))]
-    turned = np.full((len(x), len(pairs), 3, 3), np.nan)
-    turned[:, others] = _covariance(np.swapaxes(R[:, children], -1, -2) @ seen_from, covariance)
-    own = space.rotation_covariances(covariance)  # of neighbouring segments
-    for k, (parent, child) in enumerate(pairs):
-        if child not in space.names or child in fixed:
-            turned[:, k] = np.nan  # turned with its parent
-        elif above.get(child) == parent:
-            turned[:, k] = own[:, space.names.index(child)]
-    turned[np.isnan(turned).any(axis=(2, 3))] = np.nan  # a hinge has zeros beside what is unknown
-    positions = _covariance(moves, covariance)
+    T, names, pairs = len(x), space.skeleton.names, segment_pairs(space.skeleton)
+    function, code = _covariances(space.skeleton.name, space.names, bool((space.hinge_axis >= 0).any()), pairs)
+    (entries,) = Mapped(code, function, T)(x, space.skeleton.joint_offsets.ravel(), covariance.reshape(T, -1))
+    entries[np.isnan(covariance[:, 0, 0])] = np.nan  # zeros, too
+    positions, relative, turned = np.split(entries.reshape(T, -1, 3, 3), [len(names), 2 * len(names)], axis=1)
     positions[np.trace(positions, axis1=2, axis2=3) > 3 * _NOWHERE**2] = np.nan
-    moves[..., :3] = 0.0  # as seen from the root
-    return Confidence(times, names, positions, _covariance(moves, covariance), pairs, turned)
-
-
-def _covariance(J: Array, covariance: Array) -> Array:
-    """Covariances (T, n, 3, 3) of n vectors with derivatives J (T, n, 3, D)."""
-    T, n, _, D = J.shape
-    JC, out = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape), np.empty((T, n, 3, 3))
-    for i, j in combinations_with_replacement(range(3), 2):
-        out[..., i, j] = out[..., j, i] = np.einsum("tnd,tnd->tn", JC[:, :, i], J[:, :, j])
-    return out
+    turned[:, [child not in space.names or child in fixed for _, child in pairs]] = np.nan  # turned with the parent
+    return Confidence(times, names, positions, relative, pairs, turned)
 
 
 SPREAD: Final = 1.0  #: [1] Factor on the standard deviations of the solver's prior

@@ -180,6 +180,41 @@ class Frame:
         rows = [self._jacobian(path.joint, self._lever(path.point), twists) for path in self.paths]
         return ca.vertcat(*rows) if rows else ca.SX(0, self.space.size)
 
+    def covariances(self, pairs: Sequence[tuple[int, int]]) -> Any:
+        """Return the function (state, offsets of the joints, covariance of the tangent) -> entries of the covariances
+        (3, 3) of the joints' positions in world, of these less the root's, and of the orientations of pairs of a parent
+        segment (-1: world) and a child, in the child's axes.
+
+        Along a line of joints, a twist X becomes X + S d by the tangent d of the next one: its covariance with all
+        tangents W becomes W + S C_d, and its own K becomes K + W_d S^T + S W_d^T + S C_dd S^T. Root positions apart.
+        """
+        given = ca.SX.sym("C", self.space.size, self.space.size)
+        C, twists = ca.tril2symm(ca.tril(given)), self._twists()
+        columns = {j: self.space.columns(j) for j in self.space.joints}
+        twists[0], columns[0] = twists[0][:, 3:], slice(3, 6)
+        W, K = {-1: ca.SX(6, self.space.size)}, {-1: ca.SX(6, 6)}
+        world, relative, turns = list[Any](), list[Any](), list[Any]()
+        for j, parent in enumerate(self.space.skeleton.parents):
+            lever = self._lever(self.p[j])
+            about, with_root = lever @ K[parent] @ lever.T, lever @ W[parent][:, :3]
+            relative.append(about)
+            world.append(about + with_root + with_root.T + C[:3, :3])
+            W[j], K[j] = W[parent], K[parent]
+            if j in twists:
+                S, own = twists[j], columns[j]
+                cross = W[j][:, own] @ S.T
+                K[j] = ca.tril2symm(ca.tril(K[j] + cross + cross.T + S @ C[own, own] @ S.T))
+                W[j] = W[j] + S @ C[own, :]
+        for i, j in pairs:
+            between = [k for k in self._movers(j, twists) if k not in self._movers(i, twists)]
+            at = [c for k in between for c in range(columns[k].start, columns[k].stop)]
+            axes = ca.horzcat(ca.SX(3, 0), *(twists[k][3:, :] for k in between))
+            about = axes @ C[at, at] @ axes.T if i >= 0 else K[j][3:, 3:]
+            turns.append(self.R[j].T @ about @ self.R[j])
+        entries = (ca.vec(ca.tril2symm(ca.tril(one))) for one in (*world, *relative, *turns))
+        inputs = [ca.vertcat(self.p_root, ca.vec(self.quats)), ca.vec(self.C["offsets"]), ca.vec(given)]
+        return _function("covariances", inputs, [ca.vertcat(*entries)])
+
     def _jacobian(self, j: int, G: Any, twists: dict[int, Any]) -> Any:
         """(n, D) of a derivative G (n, 6) by the twist of segment j."""
         J = ca.SX(G.shape[0], self.space.size)

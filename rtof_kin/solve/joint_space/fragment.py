@@ -73,7 +73,7 @@ class FragmentFunctions:
         ones were compiled before.
         """
         build = partial(_expressions, space, terms)
-        found = compile_simd(build, _made_of(space, terms)) if compile == "auto" else None
+        found = compile_simd(build, made_of(space, terms)) if compile == "auto" else None
         if found is None:
             functions, remarks = build()
             found = Compiled({given.name: given for given in functions}, {}, remarks)
@@ -102,7 +102,7 @@ def _expressions(space: StateSpace, terms: tuple[Term, ...]) -> tuple[list[Frame
     return functions, {"layout": [layout.names, layout.paths, layout.observation, layout.constant], "groups": groups}
 
 
-def _made_of(space: StateSpace, terms: tuple[Term, ...]) -> str:
+def made_of(space: StateSpace, terms: tuple[Term, ...]) -> str:
     """What identifies the expressions of an energy; nothing where a term is from outside, whose source may change."""
     if any(isinstance(term, PointTerm) or not type(term).__module__.startswith("rtof_kin.") for term in terms):
         return ""

@@ -181,12 +181,6 @@ class StateSpace:
         out[..., 3:] *= moves[list(joints), None]
         return out
 
-    def rotation_covariances(self, covariance: Array) -> Array:
-        """Return the covariances (T, A, 3, 3) of the joints' rotation vectors from those of tangents (T, D, D)."""
-        axes = np.where(self.expand.any(axis=1), 3 + self.expand.argmax(axis=1), self.size).reshape(-1, 3)
-        padded = np.pad(covariance, ((0, 0), (0, 1), (0, 1)))  # no variance about the other axes of a hinge
-        return np.asarray(padded[:, axes[:, :, None], axes[:, None]])
-
 
 class Limits:
     """Lower and upper bounds of M hinge angles; see `levenberg_marquardt.Limits`.
