@@ -38,6 +38,7 @@ POSES: Final = (
 )
 MOST_MB: Final = 700.0  #: [MB] most memory of a command and of the processes it starts, each
 FORMATS: Final = ("csv,parquet,ros", "npz", "osim,mot,sto,trc", "c3d", "bvh,bvh-lafan1", "mjcf", "glb", "rrd", "mcap")
+FILM: Final = ("--no-video", "--stop", "20", "--width", "640")
 MOTION_FOLDER, RECORDING, OUTPUT = "MOTION", "RECORDING", "OUTPUT"  #: What they stand for in `COMMANDS`
 COMMANDS: Final = {
     "analyse": ("report", MOTION_FOLDER, "--weight", "70", "--analysis", OUTPUT),
@@ -45,6 +46,8 @@ COMMANDS: Final = {
     "report with torques": ("report", MOTION_FOLDER, "--weight", "70", "-o", OUTPUT),
     "inspect": ("inspect", MOTION_FOLDER),
     "inspect the recording": ("inspect", RECORDING, "--all"),
+    "overlay of 20 s": ("overlay", MOTION_FOLDER, "-o", f"{OUTPUT}.mp4", *FILM),
+    "view --html of 5 minutes": ("view", MOTION_FOLDER, "--html", f"{OUTPUT}.html", "--stop", "300"),
     "compare the sides": ("compare", MOTION_FOLDER, "--sides", "-o", OUTPUT),
     "compare": ("compare", MOTION_FOLDER, MOTION_FOLDER, "-o", OUTPUT),
     **{f"export {names}": ("export", MOTION_FOLDER, "-o", OUTPUT, "--to", names) for names in FORMATS},
@@ -97,16 +100,15 @@ def measured(command: tuple[str, ...], output: Path, **paths: Path | None) -> di
     """Return processor time, s, peak resident memory, MB, and size of the output, MB, of a command.
 
     Args:
-        command: name and options. output: to write. paths: by `MOTION_FOLDER` and `RECORDING`.
+        command: name and options. output: to write, alone in its folder. paths: by `MOTION_FOLDER` and `RECORDING`.
     """
-    paths[OUTPUT] = output
     code = "import sys; from rtof_kin.cli import main; sys.exit(main(sys.argv[1:]))"
-    arguments = [str(paths.get(word, word)) for word in command]
+    arguments = [str(paths.get(word, word)).replace(OUTPUT, str(output)) for word in command]
     process = subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     if os.waitstatus_to_exitcode(status) not in (0, 1):  # 1: a check of inspect does not hold
         raise RuntimeError(f"{' '.join(arguments)}: failed")
-    files = [output] if output.is_file() else [path for path in output.rglob("*") if path.is_file()]
+    files = [path for path in output.parent.rglob("*") if path.is_file()]
     return {
         "cpu_s": used.ru_utime + used.ru_stime,
         "peak_mb": used.ru_maxrss / 1024,
@@ -139,13 +141,11 @@ def main() -> None:
             for name in options.only:
                 if RECORDING in COMMANDS[name] and (options.recording is None or minutes < max(options.minutes)):
                     continue
-                output = Path(temporary) / "output"
-                found = measured(COMMANDS[name], output, MOTION=folder, RECORDING=options.recording)
+                (written := Path(temporary) / "written").mkdir()
+                found = measured(COMMANDS[name], written / "output", MOTION=folder, RECORDING=options.recording)
                 most = max(most, found["peak_mb"])
                 print(json.dumps({"minutes": minutes, "command": name} | found), flush=True)
-                if output.is_dir():
-                    shutil.rmtree(output)
-                output.unlink(missing_ok=True)
+                shutil.rmtree(written)
     if most > MOST_MB:
         sys.exit(f"{most:.0f} MB are more than {MOST_MB:g}")
 
