@@ -152,7 +152,7 @@ def _flags(result: Reconstruction) -> Array:
 def verdict(result: Reconstruction) -> dict[str, float]:
     """Scores of the audit, larger is worse: its sections' verdicts (0 pass, 1 warn, 2
     fail) added up, and how far its figures are above the limits at which they warn."""
-    findings = audit(replace(result, metrics=None))
+    findings = audit(replace(result, stage_metrics={}))
     grades = [section_verdict(section, findings).grade for section in SECTIONS]
     above = [
         min(finding.value / finding.warn, 10.0) - 1

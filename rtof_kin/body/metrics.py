@@ -129,6 +129,7 @@ def stage_metrics(
     if np.count_nonzero(known & (poses.times >= first) & (poses.times <= last)) < 4:
         _log.warning("the truth covers fewer than four frames with a pose: nothing is scored")
         return {}
+    truth = at_times(truth, poses.times)  # once; those of all stages
     return {name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()}
 
 

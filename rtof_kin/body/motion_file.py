@@ -33,7 +33,7 @@ from __future__ import annotations
 import json
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,6 +226,10 @@ class MotionReader(MotionSource, AbstractContextManager["MotionReader"]):
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
+        """Another process opens the file itself."""
+        return type(self), (self.path,)
 
     def _header(self, name: str) -> NDArray[Any]:
         """Return an attribute, which an .npz file has as an array."""

@@ -7,8 +7,9 @@ ROS's JointTrajectory has joints of one degree of freedom only, so the free base
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain, pairwise, repeat
 from pathlib import Path
 from typing import Any, Final
 
@@ -60,37 +61,40 @@ def write_ros_trajectory(folder: str | Path, motion: Motion | MotionSource) -> l
     for number, (start, stop) in enumerate(known, 1):
         suffix = f"_{number}" if len(known) > 1 else ""
         joints, base = (folder / f"ros_{kind}_trajectory{suffix}.json" for kind in ("joint", "base"))
-        piece, zero = source[start:stop], source.times[0]
-        write_message(joints, [skeleton.dof_names[i] for i in kept], _joint_points(piece, zero, kept))
-        write_message(base, [skeleton.root], _base_points(piece, zero))
+        names = [skeleton.dof_names[i] for i in kept]
+        with new_message(base, [skeleton.root]) as add_base, new_message(joints, names) as add_joints:
+            for block in source[start:stop].blocks(margin=1):
+                q, times = block.motion.q, block.motion.times - source.times[0]
+                velocities = joint_velocities(skeleton, q, times)[block.own, 6:][:, kept]
+                add_joints(joint_points(times[block.own], q[block.own, 7:][:, kept], velocities))
+                add_base(base_points(times[block.own], q[block.own]))
         paths += [joints, base]
     return paths
 
 
-def write_message(path: Path, joint_names: Sequence[str], points: Iterable[Any]) -> None:
-    """Write a trajectory, of points of one JSON each, over an existing file."""
+@contextmanager
+def new_message(path: Path, joint_names: Sequence[str]) -> Iterator[Callable[[list[Any]], None]]:
+    """Write a trajectory over an existing file: yield a function that appends points, one at least."""
     head = json.dumps({"header": ros_header(0.0), "joint_names": list(joint_names), "points": []})
     with new_file(path, overwrite=True) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
         stream.write(head.removesuffix("]}"))
-        for number, point in enumerate(points):
-            stream.write((", " if number else "") + json.dumps(point))
+        between = chain([""], repeat(", "))
+        yield lambda points: stream.writelines([next(between), json.dumps(points)[1:-1]])
         stream.write("]}\n")
 
 
-def _joint_points(motion: MotionSource, zero: float, kept: list[int]) -> Iterator[dict[str, Any]]:
-    for block in motion.blocks(margin=1):
-        q, times = block.motion.q, block.motion.times - zero
-        angles = q[block.own, 7:][:, kept]
-        velocities = joint_velocities(motion.skeleton, q, times)[block.own, 6:][:, kept]
-        rows = zip(angles.tolist(), velocities.tolist(), times[block.own], strict=True)
-        for row, rates, time in rows:
-            yield {"positions": row, "velocities": rates, "time_from_start": ros_time(time)}
+def joint_points(times: Array, q: Array, velocities: Array) -> list[dict[str, Any]]:
+    """Return JointTrajectoryPoints: times (T,), s, angles and velocities (T, D)."""
+    return [
+        {"positions": row, "velocities": rates, "time_from_start": ros_time(time)}
+        for row, rates, time in zip(q.tolist(), velocities.tolist(), times, strict=True)
+    ]
 
 
-def _base_points(motion: MotionSource, zero: float) -> Iterator[dict[str, Any]]:
-    for block in motion.blocks():
-        for row, time in zip(block.motion.q.tolist(), block.motion.times - zero, strict=True):
-            yield {"transforms": [ros_transform(row)], "time_from_start": ros_time(time)}
+def base_points(times: Array, q: Array) -> list[dict[str, Any]]:
+    """Return MultiDOFJointTrajectoryPoints: times (T,), s, and configurations, of which the first seven are used."""
+    rows = zip(q.tolist(), times, strict=True)
+    return [{"transforms": [ros_transform(row)], "time_from_start": ros_time(time)} for row, time in rows]
 
 
 def ros_time(seconds: float) -> dict[str, int]:

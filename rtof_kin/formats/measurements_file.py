@@ -29,7 +29,7 @@ import json
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,10 @@ class MeasurementsReader(Sampled, AbstractContextManager["MeasurementsReader"]):
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
+        """Another process opens the file itself."""
+        return type(self), (self.path,)
 
     def read(self, start: int | None = None, stop: int | None = None) -> Measurements:
         """Return frames [start, stop), by default from the first to the last, with the faults of all.

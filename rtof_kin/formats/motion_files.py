@@ -59,11 +59,12 @@ from rtof_kin.body.observability import (
 )
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.body.soles import floor_levels
-from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs import Workers, in_order
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
@@ -129,54 +130,49 @@ def motion_columns(motion: Motion, masks: ObservationMasks | None = None) -> lis
     return columns + [Column(f"{n}_valid", "", valid) for n, valid in zip(names, observed.T, strict=True)]
 
 
-def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
-    """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``. Errors as
-    `core.files.folder.new_file`.
+def write_csv(folder: str | Path, motion: Motion | MotionSource) -> None:
+    """Write the table as ``motion.csv``, units in brackets in the names of its columns, and of it as
+    ``joint_trajectory.csv`` time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of
+    each revolute, 0 where unobserved, with units in the .json beside it. Existing files are replaced.
     """
-    _write_table(path, motion, lambda c: f"{c.name} [{c.unit}]" if c.unit else c.name, overwrite)
-
-
-def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
-    """Write time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of each revolute,
-    0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
-    """
-    path, source = Path(path), MotionSource.of(motion)
-    skeleton = source.skeleton
+    folder, source = Path(folder), MotionSource.of(motion)
+    skeleton, columns = source.skeleton, list[Column]()
     valid = [f"{name}_valid" for name in (BASE_TURN, *skeleton.dof_names)]
-    columns = {c.name: c for c in motion_columns(next(source.blocks()).motion)}
     wanted = ("time", *BASE_COLUMNS, *skeleton.dof_names, *valid)
+    with ExitStack() as files:
+        wholes = [files.enter_context(new_file(folder / name, overwrite=True)) for name in TABLES]
+        streams = [files.enter_context(whole.open("w", encoding="utf-8", newline="")) for whole in wholes]
+        for number, (block, masks) in enumerate(source.observed_blocks()):
+            columns = motion_columns(block, masks)
+            texts = {column.name: _texts(column.values) for column in columns}
+            titles = {c.name: f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns}
+            for stream, own in zip(streams, ({name: name for name in wanted}, titles), strict=True):
+                if number == 0:
+                    csv.writer(stream, lineterminator="\n").writerow(own.values())
+                rows = zip(*(texts[name] for name in own), strict=True)
+                stream.writelines(f"{','.join(row)}\n" for row in rows)  # no value needs quotation marks
+    facts = {column.name: column for column in columns}
     sidecar = {
-        "file": path.name,
+        "file": TABLES[0],
         "urdf": URDF,
         "frame": "world: z up, metres; base: pose of the root link in world, quaternion x y z w",
-        "units": {name: columns[name].unit or "1" for name in wanted},
+        "units": {name: facts[name].unit or "1" for name in wanted},
         "valid": "NAME_valid: 1 where NAME was observed, 0 where it comes from a prior or the model",
-        "names": {name: columns[name].also for name in skeleton.dof_names},
+        "names": {name: facts[name].also for name in skeleton.dof_names},
         "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
         "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
     }
-    _write_table(path, source, lambda c: c.name if c.name in wanted else "", overwrite=True)
-    write_text(path.with_suffix(".json"), json.dumps(sidecar, indent=2) + "\n", overwrite=True)
+    path = (folder / TABLES[0]).with_suffix(".json")
+    write_text(path, json.dumps(sidecar, indent=2) + "\n", overwrite=True)
 
 
-def _write_table(
-    path: str | Path, motion: Motion | MotionSource, title: Callable[[Column], str], overwrite: bool
-) -> None:
-    """Write the columns that have a title."""
-    with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        for number, (block, masks) in enumerate(MotionSource.of(motion).observed_blocks()):
-            columns = [column for column in motion_columns(block, masks) if title(column)]
-            if number == 0:
-                writer.writerow(map(title, columns))
-            writer.writerows(zip(*(_cells(column.values) for column in columns), strict=True))
-
-
-def _cells(values: NDArray[Any]) -> list[Any]:
-    """Values (T,) of a column as `csv` writes them: numbers with all digits, 1 and 0, and '' for NaN."""
-    cells: list[Any] = (values.astype(int) if values.dtype.kind == "b" else values).tolist()
+def _texts(values: NDArray[Any]) -> list[str]:
+    """Return values (T,) of a column as texts: numbers with all digits, 1 and 0, and '' for NaN."""
+    if values.dtype.kind == "b":
+        values = values.astype(int)
+    texts = list(map(str, values.tolist()))
     missing = values.dtype.kind == "f" and np.isnan(values).any()
-    return ["" if value != value else value for value in cells] if missing else cells
+    return ["" if text == "nan" else text for text in texts] if missing else texts
 
 
 def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
@@ -203,6 +199,7 @@ def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, ove
 
 
 INDEX: Final = "files.json"
+TABLES: Final = ("joint_trajectory.csv", "motion.csv")
 URDF: Final = "skeleton.urdf"
 DEFAULT: Final = ("csv", "ros")
 Facts = dict[str, Any]
@@ -224,7 +221,11 @@ class Format:
 
 
 def write_motion_files(
-    folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT, beside: Beside = _NOTHING
+    folder: str | Path,
+    motion: AnyMotion,
+    formats: Sequence[str] = DEFAULT,
+    beside: Beside = _NOTHING,
+    workers: Workers | None = None,
 ) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
     `UnknownNameError`: no such format; `RtofError`: Parquet without pyarrow; `InvalidInputError`: a format needs even
@@ -232,22 +233,28 @@ def write_motion_files(
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
-        motion: what is written, in blocks. formats: names in `FORMATS`. beside: what else some of them contain.
+        motion: what is written, in blocks; a file of it where there are workers. formats: names in `FORMATS`.
+        beside: what else some of them contain. workers: write formats side by side, see `core.jobs.in_order`.
     """
     check_formats(formats)
     folder, source = Path(folder), MotionSource.of(motion)
     (folder / URDF).write_text(source.skeleton.to_urdf(), encoding="utf-8")
     files: Files = {URDF: {"format": "urdf", "convention": _LINKS}}
-    even = source
-    if any(FORMATS[name].even for name in formats):
-        even = source.with_times(even_times(source.times))
-    for name in (name for name in FORMATS if name in formats):
-        kind = FORMATS[name]
-        for file, facts in kind.write(folder, even if kind.even else source, beside).items():
-            files[file] = {"format": name, "convention": kind.convention, **facts}
+    tasks = [partial(_write_format, folder, source, beside, name) for name in FORMATS if name in formats]
+    for own in in_order(tasks, workers):
+        if isinstance(own, RtofError):
+            raise own
+        files |= own
     text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")
     return folder
+
+
+def _write_format(folder: Path, motion: MotionSource, beside: Beside, name: str) -> Files:
+    kind = FORMATS[name]
+    even = motion.with_times(even_times(motion.times)) if kind.even else motion
+    about = {"format": name, "convention": kind.convention}
+    return {file: about | facts for file, facts in kind.write(folder, even, beside).items()}
 
 
 def check_formats(formats: Sequence[str]) -> None:
@@ -290,13 +297,12 @@ def _index(motion: MotionSource, files: Files) -> Facts:
 # --- one function for each kind of format --------------------------------------------------------
 
 
-def _whole(writers: dict[str, Writer]) -> FormatWriter:
-    """Return a function that writes the whole motion to each of some files."""
+def _whole(write_files: Writer, *names: str) -> FormatWriter:
+    """Return a function that writes the whole motion to a file, or to some in a folder."""
 
     def write(folder: Path, motion: MotionSource, _: Beside) -> Files:
-        for name, write_file in writers.items():
-            write_file(folder / name, motion)
-        return {name: {"frames": [0, len(motion)], "time_zero_s": 0.0} for name in writers}
+        write_files(folder / names[0] if len(names) == 1 else folder, motion)
+        return {name: {"frames": [0, len(motion)], "time_zero_s": 0.0} for name in names}
 
     return write
 
@@ -328,15 +334,14 @@ def _ros(folder: Path, motion: MotionSource, _: Beside) -> Files:
     return {path.name: dict(facts) for path in paths}
 
 
-def _npz(folder: Path, motion: MotionSource, _: Beside) -> Files:
+def _write_npz(path: Path, motion: MotionSource) -> None:
     mode, first_frame = (motion.mode, motion.first_frame) if isinstance(motion, MotionReader) else ("", 0)
     with TemporaryDirectory() as beside:
-        path = Path(beside) / MOTION
-        with MotionWriter(path, motion.skeleton, mode=mode, first_frame=first_frame) as writer:
+        source = Path(beside) / MOTION
+        with MotionWriter(source, motion.skeleton, mode=mode, first_frame=first_frame) as writer:
             for block in motion.blocks(confidence=True):
                 writer.append(block.motion)
-        write_npz(folder / "motion.npz", read_arrays(path), overwrite=True)
-    return {"motion.npz": {"frames": [0, len(motion)], "time_zero_s": 0.0}}
+        write_npz(path, read_arrays(source), overwrite=True)
 
 
 def _mjcf(folder: Path, motion: MotionSource, beside: Beside) -> Files:
@@ -393,15 +398,15 @@ _LOG: Final = (
 )
 _RERUN: Final = "Rerun: world z up, m; pictures, px; angles with 95 % bands, degrees; on the time line 'time', s"
 FORMATS: Final[dict[str, Format]] = {
-    "csv": Format(
-        f"{CONVENTION}; units in the names of columns or in the .json beside it",
-        _whole({"joint_trajectory.csv": write_joint_trajectory_csv, "motion.csv": write_motion_csv}),
-    ),
+    "csv": Format(f"{CONVENTION}; units in the names of columns or in the .json beside it", _whole(write_csv, *TABLES)),
     "parquet": Format(
         f"{CONVENTION}; units and other names in the metadata of columns",
-        _whole({"motion.parquet": write_motion_parquet}),
+        _whole(write_motion_parquet, "motion.parquet"),
     ),
-    "npz": Format("arrays of motion.h5, and its attributes, for numpy.load; see body.motion_file", _npz),
+    "npz": Format(
+        "arrays of motion.h5, and its attributes, for numpy.load; see body.motion_file",
+        _whole(_write_npz, "motion.npz"),
+    ),
     "ros": Format(
         "trajectory_msgs/JointTrajectory of the URDF's revolutes by name, rad and rad/s, and "
         "MultiDOFJointTrajectory of the root link in world, z up, m, quaternion x y z w",
@@ -412,7 +417,7 @@ FORMATS: Final[dict[str, Format]] = {
     "sto": Format(f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s", _pieces(".sto", write_sto), even=True),
     "trc": Format(
         f"landmarks by name in {_GROUND}; m; even times",
-        _whole({"motion.trc": lambda path, m: write_trc(path, landmark_markers(m), up="opensim")}),
+        _whole(lambda path, m: write_trc(path, landmark_markers(m), up="opensim"), "motion.trc"),
         even=True,
     ),
     "c3d": Format(

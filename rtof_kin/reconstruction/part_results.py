@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binom
 
-from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import ConfigurationReport, Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -35,8 +34,6 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
     times = result.motion.times[kept]
     start, stop = float(times[0]), float(times[-1])
     recording = result.recording.between(start, stop)
-    stages = {name: poses[kept] for name, poses in result.stages.items()}
-    scores = stage_metrics(stages, recording.truth, result.motion.skeleton, result.mode)
     warnings, solution = result.warnings, result.solution
     if solution is not None:  # its fragments that begin in the kept frames; at first also the one before these
         least = kept.start if kept.start > 0 else -np.inf
@@ -49,12 +46,10 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
         result,
         recording=recording,
         motion=result.motion[kept],
-        stages=stages,
+        stages={name: poses[kept] for name, poses in result.stages.items()},
         keypoints=None if result.keypoints is None else result.keypoints[kept],
         bone_imus=None if result.bone_imus is None else result.bone_imus[kept],
         solution=solution,
-        metrics=scores.get(result.mode),
-        stage_metrics=scores,
         root_sigma=None if result.root_sigma is None else result.root_sigma[kept],
         faults=tuple(
             replace(fault, start=max(fault.start, start), stop=min(fault.stop, stop))
@@ -62,7 +57,7 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
             if fault.start <= stop and fault.stop >= start
         ),
         warnings=warnings,
-    )
+    ).scored()
 
 
 def sample(result: Reconstruction) -> Reconstruction:
@@ -114,7 +109,6 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
         keypoints=None if keypoints is None else evenly_spaced(recording.keypoints or keypoints, times),
         bone_imus=imus,
         solution=None if like.solution is None else FragmentSolution(poses, (report,)),
-        metrics=None,
         stage_metrics={},
         root_sigma=None if like.root_sigma is None else missing(),
         faults=(),
@@ -134,14 +128,13 @@ class Seam:
         """Root [m] and its variance [m^2] in the first frame of the next part, by this one."""
 
     def continued(self, part: Reconstruction, kept: slice, first: int) -> Reconstruction:
-        """Return the kept frames of the next part, continued."""
+        """Return the kept frames of the next part, continued; of a root with a path, all frames are given."""
         if part.root_sigma is not None:
-            part = self._on_path(part, part.root_sigma, kept)
-        out = cut(part, kept, first)
-        q = _continuous(out.motion.skeleton, out.motion.q, self._q)
+            part = cut(self._on_path(part, part.root_sigma, kept), kept, first)
+        q = _continuous(part.motion.skeleton, part.motion.q, self._q)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
         self._q = q[known[-1]] if len(known) else self._q
-        return replace(out, motion=replace(out.motion, q=q))
+        return replace(part, motion=replace(part.motion, q=q))
 
     def _on_path(self, part: Reconstruction, sigma: Array, kept: slice) -> Reconstruction:
         """The part with its root where the part before expects it."""
@@ -274,8 +267,6 @@ def joined(parts: Sequence[Reconstruction]) -> Reconstruction:
     }
     recording = replace(first.recording, **streams)
     names = [name for name in first.stages if all(name in part.stages for part in parts)]
-    stages = {name: _one([part.stages[name] for part in parts]) for name in names}
-    scores = stage_metrics(stages, recording.truth, first.motion.skeleton, first.mode)
     findings = [PartFindings(float(part.motion.times[0]), part.checks, part.warnings) for part in parts]
     motion = _one([part.motion for part in parts])
     reports = tuple(report for part in parts if part.solution is not None for report in part.solution.fragments)
@@ -283,19 +274,17 @@ def joined(parts: Sequence[Reconstruction]) -> Reconstruction:
         first,
         recording=recording,
         motion=motion,
-        stages=stages,
+        stages={name: _one([part.stages[name] for part in parts]) for name in names},
         keypoints=_one([part.keypoints for part in parts]),
         bone_imus=_one([part.bone_imus for part in parts]),
         solution=None if first.solution is None else FragmentSolution(motion.poses, reports, motion.confidence),
-        metrics=scores.get(first.mode),
-        stage_metrics=scores,
         root_sigma=_one([part.root_sigma for part in parts]),
         faults=merge_faults(fault for part in parts for fault in part.faults),
         warnings=joined_warnings(findings),
         checks=joined_checks(findings),
         certificate=next((part.certificate for part in parts if part.certificate is not None), None),
         parts=tuple(parts),
-    )
+    ).scored()
 
 
 def _one(values: Sequence[Any], counts: Sequence[int] = ()) -> Any:

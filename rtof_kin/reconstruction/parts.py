@@ -8,10 +8,10 @@ part as a whole (outliers, inflation of covariances). Calibration and an unknown
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -22,11 +22,11 @@ from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
-from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError, UnknownNameError
-from rtof_kin.core.jobs import Ended, Processes
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.jobs import Processes, Workers, in_order, outcome
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.part_results import Seam, lost, sample
+from rtof_kin.reconstruction.part_results import Seam, cut, lost, sample
 from rtof_kin.reconstruction.pipeline import explaining, run
 from rtof_kin.reconstruction.prepare import Job, Progress, even_times, silent
 from rtof_kin.reconstruction.result import Reconstruction
@@ -91,7 +91,7 @@ def reconstruct_in_parts(
     known: SelfCalibration | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
-    workers: int = 1,
+    workers: Workers | None = None,
 ) -> Iterator[Reconstruction]:
     """Yield the reconstruction of a recording part by part: one part, unless it is long.
 
@@ -103,8 +103,8 @@ def reconstruct_in_parts(
         skeleton, mode, lifter, settings, calibrate, priors, calibration, known: as for `reconstruct`.
         progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
         seconds: length of a part. Default: `PART_SECONDS`, and one part where the recording is not `is_long`.
-        workers: processes, one thread each, that solve parts side by side; 1: none but this one. The result is the
-            same to the bit where this one has one thread, too.
+        workers: of `workers_for`, which solve parts side by side, one thread each. The result is the same to the bit
+            where this process has one thread, too.
     """
     mode = source.usual_mode if mode is None else mode
     if mode not in MODES:
@@ -116,7 +116,7 @@ def reconstruct_in_parts(
         job = Job.of(source.whole(), skeleton, lifter, settings, progress)
         with explaining(job):
             setup = estimate_setup(job, mode, given)
-        yield run(job, mode, setup)
+        yield run(job, mode, setup).scored()
         return
     settings, report = settings or ReconstructionSettings(), progress or silent
     times = _frame_times(source, mode)
@@ -129,11 +129,22 @@ def reconstruct_in_parts(
     certified, spans = -1, [times[part.start : part.stop] for part in parts]
     if settings.certificate:
         certified = len(parts) // 2 if source.frame_times is None else _liveliest(seen(), spans)
-    one = job if workers == 1 else replace(job, progress=silent)
-    tasks = _tasks(source, one, mode, setup, parts, times, certified)
+    one = job if workers is None else replace(job, progress=silent)
+
+    def task(number: int, part: Part) -> Callable[[], Reconstruction] | RtofError:
+        """Return what solves a part, or why it cannot be read."""
+        own, of_part = times[part.first : part.last], replace(job.settings, certificate=number == certified)
+        once = replace(setup, warnings=setup.warnings if number == 0 else ())
+        try:
+            recording = _with_sensors(_between(source, own), job.recording)
+        except RtofError as error:
+            return error
+        return partial(_part_run, replace(one, recording=recording, times=own, settings=of_part), mode, once, part)
+
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     report("parts", 0, len(parts))
-    for done, (part, found) in enumerate(zip(parts, _solved_in_order(tasks, workers), strict=True), start=1):
+    solved = in_order(map(task, count(), parts), workers)
+    for done, (part, found) in enumerate(zip(parts, solved, strict=True), start=1):
         report("parts", done, len(parts))
         if isinstance(found, RtofError):
             missing.append((times[part.start : part.stop], found))
@@ -150,49 +161,22 @@ def reconstruct_in_parts(
     yield from _lost(like, source, job, setup, missing)
 
 
-_Task = Callable[[], Reconstruction]
+def _part_run(job: Job, mode: Mode, setup: SetupEstimate, part: Part) -> Reconstruction:
+    """Solve a part; return the frames that are kept, but all with a path of the root, which `Seam` continues."""
+    found = run(job, mode, setup)
+    return found if found.root_sigma is not None else cut(found, part.kept, part.first)
 
 
-def _tasks(
-    source: RecordingSource,
-    job: Job,
-    mode: Mode,
-    setup: SetupEstimate,
-    parts: Sequence[Part],
-    times: Array,
-    certified: int,
-) -> Iterator[_Task | RtofError]:
-    """Yield what solves each part, or why it cannot be read; only the one with the number `certified` is certified."""
-    for number, part in enumerate(parts):
-        own = times[part.first : part.last]
-        of_part = replace(job.settings, certificate=number == certified)
-        once = replace(setup, warnings=setup.warnings if number == 0 else ())
-        try:
-            recording = _with_sensors(_between(source, own), job.recording)
-            yield partial(run, replace(job, recording=recording, times=own, settings=of_part), mode, once)
-        except RtofError as error:
-            yield error
-
-
-def _solved_in_order(tasks: Iterable[_Task | RtofError], workers: int) -> Iterator[Reconstruction | RtofError]:
-    """Yield what each part gave, in their order."""
-    if workers == 1:
-        yield from map(_solved, tasks)
+@contextmanager
+def workers_for(source: RecordingSource, number: int) -> Iterator[Workers | None]:
+    """Yield processes that begin at once and solve the parts of a recording; none where `number` or its parts are 1."""
+    parts = round((source.stop_s - source.start_s) / PART_SECONDS)
+    if number == 1 or not is_long(source):
+        yield None
         return
-    numbered = ((str(number), task) for number, task in enumerate(tasks))
-    early, due = dict[str, Ended](), 0
-    for ended in Processes(workers, memory_per_job=_PART_BYTES).run(_solved, numbered):
-        early[ended.key] = ended
-        while (found := early.pop(str(due), None)) is not None:
-            due += 1
-            yield SolverError(found.lost) if found.lost else found.answer
-
-
-def _solved(task: _Task | RtofError) -> Reconstruction | RtofError:
-    try:
-        return task if isinstance(task, RtofError) else task()
-    except RtofError as error:
-        return error
+    with Workers(Processes(min(number, parts), memory_per_job=_PART_BYTES), outcome) as workers:
+        workers.begin()
+        yield workers
 
 
 def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -151,7 +150,6 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         )
     motion, position = with_covariances(motion, prepared, solution, others, position, legs)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
-    scores = stage_metrics(stages, recording.truth, skeleton, mode)
     certificate = certify(job, mode, motion, prepared.rejected, calibration) if settings.certificate else None
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
@@ -163,8 +161,6 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         prepared.recording.video,
         prepared.bone_imus,
         solution,
-        scores.get(mode),
-        scores,
         faults=prepared.faults,
         warnings=warnings,
         calibration=calibration,

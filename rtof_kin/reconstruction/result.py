@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtof_kin.body.metrics import Metrics, at_times
+from rtof_kin.body.metrics import Metrics, at_times, stage_metrics
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import Quantity, SelfCalibration
@@ -73,8 +73,6 @@ class Reconstruction:
     keypoints: KeypointSequence | None  #: Keypoints as used, evenly spaced in time; None in mode imu
     bone_imus: BoneImuSequence | None  #: Calibrated sensors at the motion's times; None in modes without sensors
     solution: FragmentSolution | None  #: Report of the fragment solver, in the modes that optimise
-    metrics: Metrics | None  #: Errors against the recording's truth; None without one
-    stage_metrics: dict[str, Metrics]  #: The same for every stage; empty without truth
     root_sigma: Array | None = None
     """(T,) m, standard deviation of each horizontal root coordinate since the first frame, in mode imu,
     where it drifts; NaN where the root is unobserved."""
@@ -92,10 +90,22 @@ class Reconstruction:
     position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
     lifts: tuple[Agreement, ...] = ()  #: How the points of other models agree; of a long recording in its first part
     parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
+    stage_metrics: dict[str, Metrics] = field(default_factory=dict)
+    """Errors of every stage against the recording's truth; empty without one."""
 
     def __post_init__(self) -> None:
         if self.motion.corrections != self.recording.corrections:
             object.__setattr__(self, "motion", replace(self.motion, corrections=self.recording.corrections))
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """Errors of the motion; None without a truth."""
+        return self.stage_metrics.get(self.mode)
+
+    def scored(self) -> Reconstruction:
+        """Return the reconstruction with its errors."""
+        truth, body = self.recording.truth, self.motion.skeleton
+        return replace(self, stage_metrics=stage_metrics(self.stages, truth, body, self.mode))
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:

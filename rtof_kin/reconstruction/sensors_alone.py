@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
@@ -88,7 +87,6 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
     if points is not None:
         motion = replace(motion, confidence=decorrelated(solution, path))
     stages = {"start": start, "imu": motion.poses}
-    scores = stage_metrics(stages, recording.truth, skeleton, "imu")
     return Reconstruction(
         job.recording,
         "imu",
@@ -97,8 +95,6 @@ def reconstruct_from_sensors(job: Job) -> Reconstruction:
         None,
         bone_imus,
         solution,
-        scores.get("imu"),
-        scores,
         path.sigma,
         faults,
         (*left_out, *(_warnings(start, contacts, skeleton, ankle_height) if points is None else ())),

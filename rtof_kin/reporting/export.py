@@ -34,6 +34,7 @@ from rtof_kin.clinical.angles import angle_blocks
 from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.jobs import Workers
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, MeasurementsWriter, measurements_path
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.trial_results import Beside, TrialResults
@@ -59,6 +60,7 @@ def export(
     formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
     run: Callable[[], Mapping[str, Any]] | None = None,
+    workers: Workers | None = None,
 ) -> ReconstructionStatistics:
     """Write a reconstruction; after an error there is no folder.
 
@@ -75,6 +77,7 @@ def export(
             motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
         run: returns what the run can be repeated by, for the summary, when all parts are made.
+        workers: of `workers_for`, each of which writes one format after the other.
 
     Returns:
         Statistics of the whole.
@@ -106,7 +109,7 @@ def export(
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
         with MotionReader(temporary / MARKER) as reader, beside_of(temporary) as beside:
-            write_motion_files(temporary, reader, formats, beside)
+            write_motion_files(temporary, reader, formats, beside, workers)
         if statistics.certificate is not None and statistics.certificate.left_out:
             certified.write_frames(statistics.certificate, temporary)
     return statistics

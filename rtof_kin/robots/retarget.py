@@ -38,7 +38,7 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.joint_trajectory import WORLD_FRAME, ros_time, ros_transform, write_message
+from rtof_kin.formats.joint_trajectory import WORLD_FRAME, base_points, joint_points, new_message
 from rtof_kin.formats.mjcf import write_qpos
 from rtof_kin.formats.ros_log import RosLog
 from rtof_kin.robots.robot_map import RobotMap
@@ -349,16 +349,10 @@ class RobotMotion:
         """
         robot, angles, seconds = self.robot, self.q[:, 7:], self.times - self.times[0]
         rates = np.gradient(angles, self.times, axis=0) if len(angles) > 1 else np.zeros_like(angles)
-        states = (
-            {"positions": q.tolist(), "velocities": v.tolist(), "time_from_start": ros_time(time)}
-            for time, q, v in zip(seconds, angles, rates, strict=True)
-        )
-        bases = (
-            {"transforms": [ros_transform(q.tolist())], "time_from_start": ros_time(time)}
-            for time, q in zip(seconds, self.q, strict=True)
-        )
-        write_message(folder / "robot_joint_trajectory.json", robot.joints, states)
-        write_message(folder / "robot_base_trajectory.json", [robot.root], bases)
+        with new_message(folder / "robot_joint_trajectory.json", robot.joints) as add:
+            add(joint_points(seconds, angles, rates))
+        with new_message(folder / "robot_base_trajectory.json", [robot.root]) as add:
+            add(base_points(seconds, self.q))
         write_qpos(folder / "robot_qpos.npz", self.times, self.q, robot.joints)
         figures = {name: float(one) if np.isfinite(one) else None for name, one in robot.track.figures().items()}
         found = {"map": robot.map.name, "scale": robot.scale, "failures": robot.track.failures} | figures

@@ -23,7 +23,7 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.gait_events import read_event_corrections
-from rtof_kin.reconstruction.parts import reconstruct_in_parts
+from rtof_kin.reconstruction.parts import reconstruct_in_parts, workers_for
 from rtof_kin.reconstruction.person import Person, update_subject
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -198,6 +198,7 @@ def reconstruct_folder(
         source: RecordingSource = (
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
+        workers = stack.enter_context(workers_for(source, task.threads or usable_cores()))
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
         source = task.with_lifts(source)
         if task.events is not None:
@@ -228,7 +229,7 @@ def reconstruct_folder(
             "calibrate": task.calibrate,
             "known": person.calibration if known is None else read_self_calibration_toml(known),
             "progress": progress,
-            "workers": task.threads or usable_cores(),
+            "workers": workers,
         }
         body, label = informed.facts.skeleton, f"recording {digest[:8]}"
         found = export(
@@ -236,6 +237,7 @@ def reconstruct_folder(
             output,
             overwrite,
             inputs=inputs,
+            workers=workers,
             run=lambda: record | {"environment": environment()},
         )
     if task.update_subject and task.subject is not None:

@@ -21,7 +21,7 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.formats.joint_trajectory import write_ros_trajectory
 from rtof_kin.formats.markers import write_c3d
-from rtof_kin.formats.motion_files import write_joint_trajectory_csv, write_motion_parquet
+from rtof_kin.formats.motion_files import write_csv, write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
 from rtof_kin.reporting import document
 from rtof_kin.vision.detections import Detections
@@ -41,7 +41,7 @@ WRITERS: dict[str, Callable[[Path, Motion], object]] = {
     "motion.c3d": lambda path, motion: write_c3d(path, landmark_markers(motion), overwrite=True),
     "motion.h5": write_motion,
     "motion.parquet": lambda path, motion: write_motion_parquet(path, motion, overwrite=True),
-    "trajectory.csv": write_joint_trajectory_csv,
+    "motion.csv": lambda path, motion: write_csv(path.parent, motion),
     "ros_joint_trajectory.json": lambda path, motion: write_ros_trajectory(path.parent, motion),
     "keypoints.npz": lambda path, motion: write_detections(path, DETECTIONS, overwrite=True),
     "skeletons.png": lambda path, motion: document.write_figures(

@@ -324,8 +324,8 @@ def test_workers_are_no_more_than_the_memory_holds(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "total_memory", lambda: 8_000_000_000)
     for available, most in ((7_000_000_000, 2), (1_000_000_000, 1), (None, 16)):
         monkeypatch.setattr(module, "available_memory", lambda available=available: available)
-        assert module._Pool(Processes(16, memory_per_job=3e9), print).most == most
-    assert module._Pool(Processes(16), print).most == 16
+        assert module.Workers(Processes(16, memory_per_job=3e9), print).most == most
+    assert module.Workers(Processes(16), print).most == 16
     with pytest.raises(InvalidInputError, match=r"9\.0 GB, but this machine has 8\.0 GB"):
         Processes(memory_per_job=9e9)
     with pytest.raises(InvalidInputError, match="workers: 0"):

@@ -15,7 +15,7 @@ import pytest
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, joint_velocities, write_ros_trajectory
-from rtof_kin.formats.motion_files import write_joint_trajectory_csv
+from rtof_kin.formats.motion_files import TABLES, write_csv
 
 BODY = SkeletonModel.default().with_height(1.6)
 T = 20
@@ -29,8 +29,8 @@ def motion() -> Motion:
 
 @pytest.fixture
 def table(tmp_path: Path, motion: Motion) -> Path:
-    write_joint_trajectory_csv(tmp_path / "walk.csv", motion)
-    return tmp_path / "walk.csv"
+    write_csv(tmp_path, motion)
+    return tmp_path / TABLES[0]
 
 
 def messages(folder: Path, motion: Motion) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -67,8 +67,8 @@ def test_written_table_is_read_back(table: Path, motion: Motion) -> None:
 def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[4] = np.nan
-    write_joint_trajectory_csv(tmp_path / "a.csv", replace(motion, q=q))
-    numbers = np.stack([*read_csv(tmp_path / "a.csv").values()], axis=1)
+    write_csv(tmp_path, replace(motion, q=q))
+    numbers = np.stack([*read_csv(tmp_path / TABLES[0]).values()], axis=1)
     np.testing.assert_array_equal(numbers[:, 1 : 1 + BODY.nq], q)
     np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
 

@@ -220,10 +220,10 @@ def with_sensors(found: Reconstruction, count: int) -> Reconstruction:
 def test_without_a_reference_it_says_what_would_prove_the_angles(
     good: Reconstruction, change: Callable[[Any], Any], proof: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (short,) = [result for result in audit(replace(good, metrics=None)) if result.section == "certificate"]
+    (short,) = [result for result in audit(replace(good, stage_metrics={})) if result.section == "certificate"]
     assert "too short" in short.note
     monkeypatch.setattr(certificate, "LEAST_SECONDS", 0.1)
-    results = audit(replace(change(good), metrics=None))
+    results = audit(replace(change(good), stage_metrics={}))
     (own,) = [result for result in results if result.section == "certificate"]
     assert own.grade is Grade.NOT_CHECKED
     assert own.note.startswith(proof)

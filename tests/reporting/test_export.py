@@ -162,7 +162,7 @@ def test_summary_omits_missing_parts_and_writes_null_for_nan(result: Reconstruct
     found = summary(replace(result, stage_metrics={"rtof": unknown}))
     assert found["metrics"]["rtof"]["mpjje"] is None
     json.dumps(found, allow_nan=False)
-    found = summary(replace(result, solution=None, bone_imus=None, stage_metrics={}, metrics=None))
+    found = summary(replace(result, solution=None, bone_imus=None, stage_metrics={}))
     assert not {"solver", "metrics"} & set(found)
     assert found["sensors"] == []
 

@@ -1,7 +1,7 @@
 """Many independent jobs: engines that run them, their results in a folder, memory, and locks of a folder."""
 
 from rtof_kin.core.jobs.engine import Ended, Engine, InThisProcess, RayCluster
-from rtof_kin.core.jobs.processes import Processes
+from rtof_kin.core.jobs.processes import Processes, Workers, in_order, outcome
 from rtof_kin.core.jobs.results import JobResult, Outcome, Progress, open_runs, run_jobs
 
 __all__ = [
@@ -13,6 +13,9 @@ __all__ = [
     "Processes",
     "Progress",
     "RayCluster",
+    "Workers",
+    "in_order",
     "open_runs",
+    "outcome",
     "run_jobs",
 ]

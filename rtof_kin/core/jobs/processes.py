@@ -17,10 +17,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final
+from typing import Any, Final, Self, TypeVar
 
 from rtof_kin.core.environment import VARIABLES
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError
 from rtof_kin.core.jobs.engine import Ended, ended, usable_cores
 from rtof_kin.core.jobs.memory import available_memory, total_memory
 
@@ -53,21 +53,8 @@ class Processes:
 
     def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
-        pool, again = _Pool(self, function), list[_Job]()
-        try:
-            for job, answer in pool.run(iter(jobs)):
-                if job is None:
-                    yield answer
-                else:
-                    _log.warning("%s: %s; tried once more when all others are done", job[0], answer.lost)
-                    again.append(job)
-            for one in again:
-                for job, answer in pool.run(iter([one])):
-                    reason = f"{answer.lost}, also when it ran alone: is there too little memory for it?"
-                    yield answer if job is None else Ended(answer.key, lost=reason)
-        finally:
-            for workers in (pool.busy, pool.idle):
-                _end(workers)
+        with Workers(self, function) as workers:
+            yield from workers.run(jobs)
 
 
 class _Worker:
@@ -100,19 +87,8 @@ class _Worker:
             return job, Ended(job[0], lost=f"its process was {how}")
 
 
-def _end(workers: list[_Worker]) -> None:
-    """End workers; those that have a job are terminated."""
-    for worker in workers:
-        worker.connection.close()
-        if worker.job is not None:
-            worker.process.terminate()
-    for worker in workers:
-        worker.process.join()
-    workers.clear()
-
-
-class _Pool:
-    """The workers of a run."""
+class Workers:
+    """Processes that do the jobs of several runs, one run after the other; a context that ends them."""
 
     def __init__(self, settings: Processes, function: Callable[[Any], Any]):
         self.settings, self.function, self.most = settings, function, settings.workers or usable_cores()
@@ -121,7 +97,38 @@ class _Pool:
         self.idle: list[_Worker] = []
         self.busy: list[_Worker] = []
 
-    def run(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End them; those that have a job are terminated."""
+        workers = [*self.busy, *self.idle]
+        for worker in workers:
+            worker.connection.close()
+            if worker.job is not None:
+                worker.process.terminate()
+        for worker in workers:
+            worker.process.join()
+
+    def begin(self) -> None:
+        """Start all of them now: what the function needs is imported before the first job is known."""
+        self.idle += [_Worker(self.function) for _ in range(self.most)]
+
+    def run(self, jobs: Iterable[_Job]) -> Iterator[Ended]:
+        """Run jobs, see `Engine.run`; it has to be exhausted before the next run."""
+        again = list[_Job]()
+        for job, answer in self._ended(iter(jobs)):
+            if job is None:
+                yield answer
+            else:
+                _log.warning("%s: %s; tried once more when all others are done", job[0], answer.lost)
+                again.append(job)
+        for one in again:
+            for job, answer in self._ended(iter([one])):
+                reason = f"{answer.lost}, also when it ran alone: is there too little memory for it?"
+                yield answer if job is None else Ended(answer.key, lost=reason)
+
+    def _ended(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
         while True:
             given = list[tuple[_Worker, _Job]]()
@@ -141,6 +148,30 @@ class _Pool:
                 else:
                     self.idle.append(worker)
                 yield lost, answer
+
+
+_T = TypeVar("_T")
+
+
+def in_order(tasks: Iterable[Callable[[], _T] | RtofError], workers: Workers | None) -> Iterator[_T | RtofError]:
+    """Yield the `outcome` of each task, which is also the function of the workers; None: this process does them."""
+    if workers is None:
+        yield from map(outcome, tasks)
+        return
+    early, due = dict[str, Ended](), 0
+    for one in workers.run((str(number), task) for number, task in enumerate(tasks)):
+        early[one.key] = one
+        while (found := early.pop(str(due), None)) is not None:
+            due += 1
+            yield SolverError(found.lost) if found.lost else found.answer
+
+
+def outcome(task: Callable[[], _T] | RtofError) -> _T | RtofError:
+    """Return what a task returned, or the error that it raised or that is in its place."""
+    try:
+        return task if isinstance(task, RtofError) else task()
+    except RtofError as error:
+        return error
 
 
 @contextmanager
