@@ -13,11 +13,11 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, TypeVar
 
 from rtof_kin.core.environment import VARIABLES
 from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError
@@ -87,7 +87,7 @@ class _Worker:
             return job, Ended(job[0], lost=f"its process was {how}")
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Processes that do the jobs of several runs, one run after the other; a context that ends them."""
 
     def __init__(self, settings: Processes, function: Callable[[Any], Any]):
@@ -96,9 +96,6 @@ class Workers:
             self.most = max(1, min(self.most, int(available // settings.memory_per_job)))
         self.idle: list[_Worker] = []
         self.busy: list[_Worker] = []
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         """End them; those that have a job are terminated."""
