@@ -182,15 +182,14 @@ def recorded(clip: MocapClip, person: Planted, who: str, seed: int, case: Case) 
 
 def errors(found: ClinicalAngles, truth: ClinicalAngles) -> Iterator[tuple[str, str, float, float]]:
     """Yield angle, measure, error and stated standard deviation, deg, over the frames in which an angle is usable."""
-    (values, sigma), exact = usable(found), usable(truth)[0]
-    assert sigma is not None
-    exact -= 2 * np.pi * np.round((exact - values) / (2 * np.pi))
-    for k, row in enumerate(found.rows):
-        t = exact[:, truth.names.index(row.name)]
-        known = np.isfinite(values[:, k] + t)
+    for row in found.rows:
+        (values, sigma), exact = (usable(one.select([row.name])) for one in (found, truth))
+        assert sigma is not None
+        t = exact[0] - 2 * np.pi * np.round((exact[0] - values) / (2 * np.pi))
+        known = np.isfinite(values + t)
         if row.name in HEADINGS or row.about_vertical or known.mean() < LEAST_KNOWN:
             continue
-        own, true = Samples(values[known, k][None], sigma[known, k][None]), Samples(t[known][None], None)
+        own, true = Samples(values[None, known], sigma[None, known]), Samples(t[None, known], None)
         for measure in MEASURES:
             a, b = (getattr(one, measure)() for one in (own, true))
             yield row.name, measure, float(np.degrees(a.mean - b.mean)), float(np.degrees(a.band_sigma))

@@ -118,7 +118,7 @@ def analyse(
         torques = joint_torques(source, weight_kg, height, sex, contacts.support if gait.strides else None)
         reaction = ground_reaction(torques, contacts, paths)
     heading = angles.names.index("pelvis_rotation")
-    heading_sigma = None if angles.sigma is None else angles.sigma[:, heading]
+    heading_sigma = None if angles.sigma is None else angles.sigma[:, heading].astype(float)
     found = MotionAnalysis(
         paths.table,
         angles,

@@ -102,14 +102,16 @@ def angle_differences(
         else:
             chosen.append(name)
     found = []
-    for pair in in_time(estimate, reference, chosen, shift)[1] if chosen else ():
+    for name in chosen:
+        pair = in_time(estimate.select([name]), reference.select([name]), shift)
+        if not pair.share:
+            left_out[name] = "no common instant is observed and reliable in both"
+            continue
         difference = (pair.a.values - pair.b.values)[0]
         known = np.isfinite(difference)
         sigma = None if pair.a.sigma is None else pair.a.sigma[0][known]
         own = pair.b.values[0][known]
-        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma, own))
-    for name in set(chosen) - {one.angle for one in found}:
-        left_out[name] = "no common instant is observed and reliable in both"
+        found.append(AngleDifferences(name, movement, take, difference[known], sigma, own))
     return tuple(found), left_out
 
 

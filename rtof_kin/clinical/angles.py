@@ -55,7 +55,7 @@ _ARRAYS: Final[dict[str, type]] = {
     "values": np.float64,
     "provenance": np.uint8,
     "singular": np.bool_,
-    "sigma": np.float64,
+    "sigma": np.float32,
     "trusted": np.bool_,
 }
 _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
@@ -73,7 +73,7 @@ class ClinicalAngles(Sampled):
     singular: Mask  #: (T, A) whether only the sum of this and another angle is defined near this posture
     rows: tuple[AngleRow, ...]  #: A rows of the table: name, sign, range, OpenSim coordinate
     notes: tuple[str, ...] = ()
-    sigma: Array | None = None
+    sigma: NDArray[np.float32] | None = None
     """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
     trusted: Mask | None = None
     """(T, A) whether a value is used for ranges, peaks and gait (`decomposition`); None for all."""

@@ -14,9 +14,9 @@ range       no common axis: ranges of motion of the whole recordings alone
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from itertools import islice
 from typing import Final, Literal
 
@@ -24,16 +24,17 @@ import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.agreement import Agreement, agreement_of
-from rtof_kin.clinical.angle_table import SIDES, angle_table
+from rtof_kin.clinical.angle_table import SIDES, AngleRow, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_and_paths
 from rtof_kin.clinical.comparison_change import Change, Made, Repeats, Verdict, adjusted, change, error_of, shared_of
-from rtof_kin.clinical.comparison_samples import Alignment, Pair, Spans, align, in_time, over_phases, whole
+from rtof_kin.clinical.comparison_samples import Alignment, Pair, Spans, align, in_both, in_range, in_time, over_phases
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.motion_views import AnyMotion
@@ -114,52 +115,46 @@ class Compared:
     notes: tuple[str, ...] = ()  #: What its gait cycles and angles do not show, and why
     not_gait: str = ""  #: Why its strides are not those of walking; '' if they are
     made: Made | None = None  #: How it was made, where the person is known
+    side: str = ""  #: 'left' or 'right' where only the angles of that side count, by their names without it
+
+    @property
+    def columns(self) -> dict[str, int]:
+        """Its angles by name, with their columns in `angles`."""
+        prefix = f"{self.side}_" if self.side else ""
+        return {name.removeprefix(prefix): k for k, name in enumerate(self.angles.names) if name.startswith(prefix)}
+
+    @property
+    def rows(self) -> tuple[AngleRow, ...]:
+        """Those of its angles."""
+        return tuple(replace(self.angles.rows[k], name=name) for name, k in self.columns.items())
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Names of its angles that have a value."""
+        return frozenset(name for name, k in self.columns.items() if np.isfinite(self.angles.values[:, k]).any())
+
+    def angle(self, name: str) -> ClinicalAngles:
+        """Return one of its angles."""
+        row = self.angles.rows[self.columns[name]]
+        return replace(self.angles.select([row.name]), rows=(replace(row, name=name),))
 
 
 @dataclass(frozen=True)
 class AngleComparison:
     """One angle of A against B."""
 
-    pair: Pair  #: Samples of A and B: curves over time, strides or repetitions, or all of a recording
+    name: str  #: Name of the angle
+    pair: Callable[[], Pair]
+    """Makes the samples of A and B, which are too large to keep: curves over time, strides or repetitions, or the ends
+    of the ranges of recordings."""
+    share: float  #: As of the pair
+    repeats: tuple[int, int]  #: Strides or repetitions of A and B that are compared; 1 for other axes
     positive: str  #: The movement that is positive
     changes: tuple[Change, ...]
     """Of the mean angle and of the range of motion; of the range alone without a common axis."""
     errors: CurveErrors | None  #: Of the curves; None without a common axis
-
-    @property
-    def name(self) -> str:
-        """Name of the angle."""
-        return self.pair.name
-
-    @property
-    def repeats(self) -> tuple[int, int]:
-        """Strides or repetitions of A and B that are compared; 1 for other axes."""
-        return len(self.pair.a.values), len(self.pair.b.values)
-
-    @cached_property
-    def curves(self) -> tuple[Array, Array]:
-        """(P,) rad of A and B on the common axis (means over repeats)."""
-        return self.pair.a.curve, self.pair.b.curve
-
-    @cached_property
-    def sigmas(self) -> tuple[Array | None, Array | None]:
-        """(P,) rad, standard deviations of the curves; None without bands."""
-        return self.pair.a.curve_sigma, self.pair.b.curve_sigma
-
-    @property
-    def difference_sigma(self) -> Array | None:
-        """(P,) rad, standard deviation of B - A on the axis, as of independent errors; None without bands."""
-        known = [sigma**2 for sigma in self.sigmas if sigma is not None]
-        return np.sqrt(np.sum(known, axis=0)) if known else None
-
-    @property
-    def outside(self) -> float:
-        """Share of the samples in which 0 is outside the 95 % band of B - A; NaN without bands."""
-        if self.errors is None or self.difference_sigma is None:
-            return float("nan")
-        size = np.abs(self.curves[1] - self.curves[0])
-        known = np.isfinite(size)
-        return float(np.mean(size[known] > BAND_95 * self.difference_sigma[known]))
+    outside: float
+    """Share of the samples in which 0 is outside the 95 % band of B - A; NaN without curves or bands."""
 
     @property
     def verdict(self) -> Verdict:
@@ -225,21 +220,13 @@ def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list
     return spans
 
 
-def sides_of(one: Compared, names: Sequence[str] = ()) -> tuple[Compared, Compared]:
-    """Return the left and the right side of a motion, with the names of angles without the side; without those that
-    neither has, unless they are among `names`.
-    """
-    known = [one.angles.names[i] for i in np.flatnonzero(one.angles.known.any(axis=0))]
-    kept = {angle.removeprefix(f"{side}_") for side in SIDES for angle in known if angle.startswith(side)} | {*names}
-
-    def side(name: str) -> Compared:
-        angles = [angle for angle in one.angles.names if angle.startswith(f"{name}_")]
-        own = one.angles.select([angle for angle in angles if angle.removeprefix(f"{name}_") in kept])
-        rows = tuple(replace(row, name=row.name.removeprefix(f"{name}_")) for row in own.rows)
-        strides = {"": one.strides.get(name, [])}
-        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides, made=None)
-
-    return side("left"), side("right")
+def sides_of(one: Compared) -> tuple[Compared, Compared]:
+    """Return the left and the right side of a motion."""
+    left, right = (
+        replace(one, name=side, side=side, strides={"": one.strides.get(side, [])}, made=None)
+        for side in ("left", "right")
+    )
+    return left, right
 
 
 def compare(
@@ -263,23 +250,21 @@ def compare(
         UnknownNameError: a name that is none of an angle.
     """
     left_out = _left_out(a, b, by, names)
-    chosen = [n for n in (names or a.angles.names) if n in common_angles(a, b) and n not in left_out]
+    common = common_angles(a, b)
+    chosen = [name for name in (names or common) if name in common and name not in left_out]
     if by == "range":
-        rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles, chosen)]
+        rows = [(one.name, row) for one in (a, b) for name in chosen for row in ranges_of_motion(one.angle(name))]
         left_out |= {row.name: f"{name}: {why}" for name, row in rows if (why := row.why_not_comparable)}
         chosen = [name for name in chosen if name not in left_out]
-    axis, pairs = _pairs(a, b, by, chosen, shift, kind)
-    for name in chosen:
-        found = next((pair for pair in pairs if pair.name == name), None)
-        if found is None or found.share < LEAST_SHARE:
-            left_out[name] = "hardly any common sample is observed and reliable in both"
-    pairs = [pair for pair in pairs if pair.name not in left_out]
-    if not pairs:
+    axis, pair = _pairs(a, b, by, shift, kind)
+    shared = shared_of((a.made, b.made), a.rows) if by in ("cycle", "repetition") else {}
+    positive = {row.name: row.positive for row in a.rows if row.name in chosen}
+    angles = _tested({name: partial(pair, name) for name in chosen}, by, axis, positive, shared)
+    few = dict.fromkeys(chosen, "hardly any common sample is observed and reliable in both")
+    left_out |= {name: why for name, why in few.items() if name not in [one.name for one in angles]}
+    if not angles:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
-    positive = {row.name: row.positive for row in a.angles.rows}
-    shared = shared_of((a.made, b.made), a.angles.rows) if by in ("cycle", "repetition") else {}
-    angles = _tested(pairs, by, axis, positive, shared)
     ordered = tuple(sorted(angles, key=lambda one: -abs(one.changes[0].difference)))
     kind = kind if by == "repetition" else ""
     return Comparison(a, b, by, axis, ordered, left_out, shift, alignment, kind, shared)
@@ -287,19 +272,17 @@ def compare(
 
 def common_angles(a: Compared, b: Compared) -> tuple[str, ...]:
     """Return the angles that both have a value of."""
-    known = []
-    for angles in (a.angles, b.angles):
-        known.append({angles.names[i] for i in np.flatnonzero(angles.known.any(axis=0))})
-    return tuple(name for name in a.angles.names if name in known[0] & known[1])
+    both = a.known & b.known
+    return tuple(row.name for row in a.rows if row.name in both)
 
 
 def _left_out(a: Compared, b: Compared, by: By, names: Sequence[str]) -> dict[str, str]:
     """Angles that are not compared, and why; those that neither has are not mentioned."""
+    known, every, out = (a.known, b.known), [row.name for row in a.rows], {}
     for one in (a, b):
-        one.angles.select(names)  # raises for an unknown name
-    out = {}
-    for name in names or a.angles.names:
-        has = [bool(np.isfinite(x.angles[name]).any()) if name in x.angles.names else False for x in (a, b)]
+        indices_of("clinical angle", names, [row.name for row in one.rows])  # raises for an unknown name
+    for name in names or every:
+        has = [name in own for own in known]
         if has[0] != has[1] or (names and not all(has)):
             missing = " and ".join(x.name for x, own in zip((a, b), has, strict=True) if not own)
             out[name] = f"not observed in {missing}"
@@ -309,36 +292,29 @@ def _left_out(a: Compared, b: Compared, by: By, names: Sequence[str]) -> dict[st
             if by != "time" or a.other_system or b.other_system:
                 out[name] = "depends on the direction of the world's axes; name it in --angles to compare it"
     if not names:
-        second = [n for n in a.angles.names if n.startswith("pelvis_opensim") and n not in out]
+        second = [n for n in every if n.startswith("pelvis_opensim") and n not in out]
         out |= dict.fromkeys(second, "the same orientation as the other pelvis angles, in another order")
     return out
 
 
-def _pairs(
-    a: Compared, b: Compared, by: By, names: Sequence[str], shift: float, kind: str
-) -> tuple[Array | None, list[Pair]]:
-    """Common axis and samples of the angles that have any."""
+def _pairs(a: Compared, b: Compared, by: By, shift: float, kind: str) -> tuple[Array | None, Callable[[str], Pair]]:
+    """Common axis, and what makes the samples of an angle by its name."""
     if by == "time":
-        times, pairs = in_time(a.angles, b.angles, names, shift)
+        times = a.angles.times[in_both(a.angles, b.angles, shift)]
         if not len(times):
             raise InvalidInputError(
                 f"compare: {a.name} ({_span(a)}) and {b.name} ({_span(b)}) have no instant in common; "
                 "give --shift or --align, or compare by cycle, repetition or range"
             )
-        return times, pairs
+        return times, lambda name: in_time(a.angle(name), b.angle(name), shift)
     if by == "range":
-        out = []
-        for name in names:
-            (first, share), (second, other) = (whole(x.angles, name) for x in (a, b))
-            if share > 0 and other > 0:
-                out.append(Pair(name, first, second, min(share, other)))
-        return None, out
+        return None, lambda name: in_range(a.angle(name), b.angle(name))
     spans = [x.strides if by == "cycle" else {"": x.repetitions.get(kind, ())} for x in (a, b)]
     for one, own in zip((a, b), spans, strict=True):
         if not any(own.values()):
             what = "complete gait cycle" if by == "cycle" else kind.replace("_", " ")
             raise InvalidInputError(f"compare: {one.name} has no {what}; compare by another axis (--by)")
-    return PHASES, over_phases(a.angles, b.angles, names, *spans)
+    return PHASES, lambda name: over_phases(a.angle(name), b.angle(name), *spans)
 
 
 def _span(one: Compared) -> str:
@@ -346,24 +322,40 @@ def _span(one: Compared) -> str:
 
 
 def _tested(
-    pairs: Sequence[Pair], by: By, axis: Array | None, positive: Mapping[str, str], shared: Mapping[str, float]
+    pairs: Mapping[str, Callable[[], Pair]],
+    by: By,
+    axis: Array | None,
+    positive: Mapping[str, str],
+    shared: Mapping[str, float],
 ) -> list[AngleComparison]:
-    """Differences of all angles, tested together."""
+    """Differences of all angles with enough samples, tested together."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
-    changes = []
-    for pair in pairs:
+    changes, out = [], []
+    for name, make in pairs.items():
+        pair = make()
+        if pair.share < LEAST_SHARE:
+            continue
         kind: Repeats = "none" if not repeated else "paired" if pair.paired else "independent"
         for measure in measures:
             a, b = (getattr(one, measure)() for one in (pair.a, pair.b))
             tested = repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE
-            error, apart = (error_of(a, b, kind, share) for share in (shared.get(pair.name, 0.0), 0.0))
+            error, apart = (error_of(a, b, kind, share) for share in (shared.get(name, 0.0), 0.0))
             changes.append(change(measure, a.mean, b.mean, error, tested, apart))
-    found = iter(adjusted(changes))
-    out = []
-    for pair in pairs:
         errors = None if axis is None else curve_errors(axis, pair.a.curve, pair.b.curve)
-        out.append(AngleComparison(pair, positive[pair.name], tuple(islice(found, len(measures))), errors))
-    return out
+        repeats = len(pair.a.values), len(pair.b.values)
+        outside = float("nan") if axis is None else _outside(pair)
+        out.append(AngleComparison(name, make, pair.share, repeats, positive[name], (), errors, outside))
+    found = iter(adjusted(changes))
+    return [replace(one, changes=tuple(islice(found, len(measures)))) for one in out]
+
+
+def _outside(pair: Pair) -> float:
+    """`AngleComparison.outside` of curves."""
+    if (sigma := pair.difference_sigma) is None:
+        return float("nan")
+    size = np.abs(pair.b.curve - pair.a.curve)
+    known = np.isfinite(size)
+    return float(np.mean(size[known] > BAND_95 * sigma[known]))
 
 
 _SAME: Final = np.radians(0.005)
@@ -422,7 +414,7 @@ def compare_sides(
     Args:
         names, kind: see `compare`.
     """
-    left, right = sides_of(one, names)
+    left, right = sides_of(one)
     if by is not None:
         choice = _requested(left, right, by)
     elif not one.not_gait and min(map(len, one.strides.values()), default=0) >= _LEAST_REPEATS:

@@ -105,24 +105,33 @@ class Pair:
     share: float  #: Share of the common frames, or of all repeats, that are compared
     paired: bool = False  #: Whether the rows of both are the same repeats
 
+    @property
+    def difference_sigma(self) -> Array | None:
+        """(P,) rad, standard deviation of B - A on the axis, as of independent errors; None without bands."""
+        known = [sigma**2 for one in (self.a, self.b) if (sigma := one.curve_sigma) is not None]
+        return np.sqrt(np.sum(known, axis=0)) if known else None
 
-def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
-    """Return values and standard deviations (T, A) rad; NaN where unobserved, unreliable or singular.
+
+def usable(angle: ClinicalAngles) -> tuple[Array, Array | None]:
+    """Return values and standard deviations (T,) rad of one angle; NaN where unobserved, unreliable or singular.
 
     Whole turns between two stretches are removed.
     """
-    values = np.where(angles.singular, np.nan, angles.trusted_values)
-    for column in values.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
-    return values, None if angles.sigma is None else np.where(np.isfinite(values), angles.sigma, np.nan)
+    values = np.where(angle.singular[:, 0], np.nan, angle.trusted_angle(0))
+    known = np.isfinite(values)
+    values[known] = np.unwrap(values[known])
+    return values, None if angle.sigma is None else np.where(known, angle.sigma[:, 0].astype(float), np.nan)
 
 
-def in_time(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: float) -> tuple[Array, list[Pair]]:
-    """Return the common instants (P,) s on A's clock, and the angles at them; shift: s, added to the times of B."""
-    a, b = a.select(names), b.select(names)
-    inside = (a.times >= b.times[0] + shift - 1e-9) & (a.times <= b.times[-1] + shift + 1e-9)
-    times, at = a.times[inside], np.clip(a.times[inside] - shift, b.times[0], b.times[-1])
+def in_both(a: ClinicalAngles, b: ClinicalAngles, shift: float) -> Mask:
+    """Return a mask (T,) of the times of A at which there is B too; shift: s, added to the times of B."""
+    return np.asarray((a.times >= b.times[0] + shift - 1e-9) & (a.times <= b.times[-1] + shift + 1e-9))
+
+
+def in_time(a: ClinicalAngles, b: ClinicalAngles, shift: float) -> Pair:
+    """Return one angle at the times of A at which there is B too; shift: s, added to the times of B."""
+    inside = in_both(a, b, shift)
+    at = np.clip(a.times[inside] - shift, b.times[0], b.times[-1])
     values_a, sigma_a = (None if x is None else x[inside] for x in usable(a))
     values_b, sigma_b = (
         None if x is None else signals.interpolate(b.times, x, at, _GAP / b.rate_hz) for x in usable(b)
@@ -131,45 +140,33 @@ def in_time(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: f
     assert values_b is not None
     values_b = values_b - _TURN * np.round((values_b - values_a) / _TURN)
     both = np.isfinite(values_a) & np.isfinite(values_b)
-
-    def samples(values: Array, sigma: Array | None, column: int) -> Samples:
-        known = both[:, column]
-        own = None if sigma is None else np.where(known, sigma[:, column], np.nan)[None]
-        return Samples(np.where(known, values[:, column], np.nan)[None], own)
-
-    pairs = [
-        Pair(name, samples(values_a, sigma_a, k), samples(values_b, sigma_b, k), float(both[:, k].mean()))
-        for k, name in enumerate(names)
-        if both[:, k].any()
-    ]
-    return times, pairs
+    first, second = (
+        Samples(np.where(both, values, np.nan)[None], None if sigma is None else np.where(both, sigma, np.nan)[None])
+        for values, sigma in ((values_a, sigma_a), (values_b, sigma_b))
+    )
+    return Pair(a.names[0], first, second, float(both.mean()) if len(both) else 0.0)
 
 
-def over_phases(
-    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], spans_a: Spans, spans_b: Spans
-) -> list[Pair]:
-    """Return the angles at `PHASES` of all repeats in which they are usable throughout; spans_a, spans_b: repeats;
-    angles of one side are taken over those of that side, angles of the trunk over those of the first side that both
-    have.
+def over_phases(a: ClinicalAngles, b: ClinicalAngles, spans_a: Spans, spans_b: Spans) -> Pair:
+    """Return one angle at `PHASES` of all repeats in which it is usable throughout; spans_a, spans_b: repeats; an angle
+    of one side is taken over those of that side, one of the trunk over those of the first side that both have.
     """
-    pairs = []
-    for name in names:
-        side = own_side(name, spans_a, spans_b)
-        if side is None:
-            continue
-        first, second = repeats_of(a, name, spans_a[side]), repeats_of(b, name, spans_b[side])
-        paired = list(spans_a[side]) == list(spans_b[side]) and np.array_equal(a.times, b.times)
-        complete = [first.complete, second.complete]
-        if paired:
-            complete = [complete[0] & complete[1]] * 2
-        first, second = first.only(complete[0]), second.only(complete[1])
-        if len(first.values) and len(second.values):
-            middle = np.median(first.values)
-            turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)
-            total = len(spans_a[side]) + len(spans_b[side])
-            share = (len(first.values) + len(second.values)) / total
-            pairs.append(Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share, paired))
-    return pairs
+    nothing = Samples(np.empty((0, len(PHASES))), None)
+    side = own_side(a.names[0], spans_a, spans_b)
+    if side is None:
+        return Pair(a.names[0], nothing, nothing, 0.0)
+    first, second = repeats_of(a, spans_a[side]), repeats_of(b, spans_b[side])
+    paired = list(spans_a[side]) == list(spans_b[side]) and np.array_equal(a.times, b.times)
+    complete = [first.complete, second.complete]
+    if paired:
+        complete = [complete[0] & complete[1]] * 2
+    first, second = first.only(complete[0]), second.only(complete[1])
+    if not (len(first.values) and len(second.values)):
+        return Pair(a.names[0], nothing, nothing, 0.0)
+    middle = np.median(first.values)
+    turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)
+    share = (len(first.values) + len(second.values)) / (len(spans_a[side]) + len(spans_b[side]))
+    return Pair(a.names[0], first, Samples(second.values - _TURN * turns, second.sigma), share, paired)
 
 
 def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
@@ -179,24 +176,30 @@ def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
     return next((side for side in wanted if spans_a.get(side) and spans_b.get(side)), None)
 
 
-def repeats_of(
-    angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]], phases: Array = PHASES
-) -> Samples:
+def repeats_of(angle: ClinicalAngles, spans: Sequence[tuple[float, float]], phases: Array = PHASES) -> Samples:
     """Return all repeats of one angle at phases, on one turn; spans: start and stop of each repeat, s."""
-    values, sigma = usable(angles.select([name]))
+    values, sigma = usable(angle)
     at = np.concatenate([start + phases * (stop - start) for start, stop in spans])
-    gap, shape = _GAP / angles.rate_hz, (len(spans), len(phases))
-    rows = signals.interpolate(angles.times, values, at, gap).reshape(shape)
+    gap, shape = _GAP / angle.rate_hz, (len(spans), len(phases))
+    rows = signals.interpolate(angle.times, values, at, gap).reshape(shape)
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known):
         rows = rows - _TURN * np.round((np.median(rows, axis=1, keepdims=True) - np.median(known[0])) / _TURN)
-    return Samples(rows, None if sigma is None else signals.interpolate(angles.times, sigma, at, gap).reshape(shape))
+    return Samples(rows, None if sigma is None else signals.interpolate(angle.times, sigma, at, gap).reshape(shape))
 
 
-def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:
-    """Return all usable samples of one angle, and their share."""
-    values, sigma = usable(angles.select([name]))
-    return Samples(values.T, None if sigma is None else sigma.T), float(np.isfinite(values).mean())
+def extremes(angle: ClinicalAngles) -> tuple[Samples, float]:
+    """Return the lowest and the highest usable sample of one angle, if there is any, and the share of usable ones."""
+    values, sigma = usable(angle)
+    known = np.flatnonzero(np.isfinite(values))
+    ends = known[[values[known].argmin(), values[known].argmax()]] if len(known) else known
+    return Samples(values[None, ends], None if sigma is None else sigma[None, ends]), len(known) / len(values)
+
+
+def in_range(a: ClinicalAngles, b: ClinicalAngles) -> Pair:
+    """Return the `extremes` of one angle."""
+    (first, share_a), (second, share_b) = extremes(a), extremes(b)
+    return Pair(a.names[0], first, second, min(share_a, share_b))
 
 
 GRID_HZ: Final = 50.0  #: Sampling rate of the velocities that are compared
@@ -238,34 +241,39 @@ def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: flo
     Args:
         reach: s, largest shift that is considered.
     """
-    start_a, first = _velocities(a, names)
-    start_b, second = _velocities(b, names)
-    products, energies_a, energies_b = _correlations(first, second)
+    first, second = _grid(a), _grid(b)
     lags = np.arange(-(len(second) - 1), len(first))
-    shifts = lags / GRID_HZ + (start_a - start_b)
+    shifts = lags / GRID_HZ + float(first[0] - second[0])
     overlap = np.minimum(len(first), lags + len(second)) - np.maximum(lags, 0)
     shorter = min(len(first), len(second))
     least = min(max(_LEAST_OVERLAP * GRID_HZ, _LEAST_SHARE * shorter), shorter)
     allowed = (overlap >= least) & (np.abs(shifts) <= reach)
 
-    def agreement(chosen: Array) -> Array:
-        """R of all shifts from some of the angles."""
-        size = np.sqrt(np.maximum(chosen @ energies_a, 0) * np.maximum(chosen @ energies_b, 0))
-        r = np.divide(chosen @ products, size, out=np.zeros(len(lags)), where=size > 1e-9)
-        return np.where(allowed, r, -np.inf)
+    def sums(name: str) -> Array:
+        """(3, L) `_correlations` of one angle."""
+        return _correlations(*(_velocity(x.select([name]), grid) for x, grid in ((a, first), (b, second))))
 
-    every = np.ones(len(names))
+    def agreement(of: Array) -> Array:
+        """R of all shifts from sums."""
+        size = np.sqrt(np.maximum(of[1], 0) * np.maximum(of[2], 0))
+        return np.where(allowed, np.divide(of[0], size, out=np.zeros(len(lags)), where=size > 1e-9), -np.inf)
+
+    every = np.zeros((3, len(lags)))
+    for name in names:
+        every += sums(name)
     r = agreement(every)
     if not r.max() > 0:
         raise InvalidInputError("align: the motions have no common angle that moves; name others (--angles)")
     scan = OffsetScan(shifts, r, apart=0.0)
     here = int(np.abs(shifts).argmin())
     zero = float(r[here]) if allowed[here] and abs(shifts[here]) <= 1 / GRID_HZ else float("nan")
-    without = [agreement(every - one) for one in np.eye(len(names))]
+    near = slice(max(0, scan.peak - int(GRID_HZ / 4)), scan.peak + int(GRID_HZ / 4) + 1)
+    enough = names if len(names) > 2 else ()
+    without = [OffsetScan(shifts[near], agreement(every - sums(name))[near]).best for name in enough]
     (rival, rival_agreement), known = scan.rival, scan.rival[1] > 0
     return Alignment(
         scan.best,
-        _jackknife(shifts, without, scan.peak),
+        _jackknife(np.array(without)),
         scan.gain,
         rival if known else float("nan"),
         rival_agreement if known else float("nan"),
@@ -273,37 +281,30 @@ def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: flo
     )
 
 
-def _velocities(angles: ClinicalAngles, names: Sequence[str]) -> tuple[float, Array]:
-    """Time of the first sample, s, and velocities (T, A) rad/s at `GRID_HZ`; 0 where unknown."""
-    values = usable(angles.select(names))[0]
+def _grid(angles: ClinicalAngles) -> Array:
+    """(N,) s, times at `GRID_HZ`."""
     count = int((angles.times[-1] - angles.times[0]) * GRID_HZ) + 1
-    times = angles.times[0] + np.arange(count) / GRID_HZ
-    grid = signals.interpolate(angles.times, values, times, 1.5 / angles.rate_hz)
+    return np.asarray(angles.times[0] + np.arange(count) / GRID_HZ)
+
+
+def _velocity(angle: ClinicalAngles, times: Array) -> Array:
+    """Velocity (N,) rad/s of one angle at times (N,) of `_grid`; 0 where unknown."""
+    grid = signals.interpolate(angle.times, usable(angle)[0], times, 1.5 / angle.rate_hz)
     out = np.zeros_like(grid)
-    for column in range(grid.shape[1]):
-        for start, stop in signals.runs(np.isfinite(grid[:, column])):
-            if stop - start >= _SHORTEST:
-                smooth = signals.low_pass(grid[start:stop, column], GRID_HZ, CUTOFF_HZ)
-                out[start:stop, column] = np.gradient(smooth) * GRID_HZ
-    return float(times[0]), out
+    for start, stop in signals.runs(np.isfinite(grid)):
+        if stop - start >= _SHORTEST:
+            out[start:stop] = np.gradient(signals.low_pass(grid[start:stop], GRID_HZ, CUTOFF_HZ)) * GRID_HZ
+    return out
 
 
-def _correlations(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """Sums (A, L) over the overlap at every lag: v_A v_B, v_A^2 and v_B^2 where the other is known."""
+def _correlations(a: Array, b: Array) -> Array:
+    """Sums (3, L) over the overlap at every lag: v_A v_B, v_A^2 and v_B^2 where the other is known."""
     reverse = b[::-1]
-
-    def total(x: Array, y: Array) -> Array:
-        return np.asarray(fftconvolve(x, y, axes=0).T)
-
     known_a, known_b = (a != 0).astype(float), (reverse != 0).astype(float)
-    return total(a, reverse), total(a**2, known_b), total(known_a, reverse**2)
+    return np.stack([fftconvolve(*pair) for pair in ((a, reverse), (a**2, known_b), (known_a, reverse**2))])
 
 
-def _jackknife(shifts: Array, agreements: Sequence[Array], best: int) -> float:
-    """Standard deviation, s, of the peak near the best one, over the angles left out one by one."""
-    if len(agreements) < 3:
-        return float("nan")
-    near = slice(max(0, best - int(GRID_HZ / 4)), best + int(GRID_HZ / 4) + 1)
-    peaks = [OffsetScan(shifts[near], r[near]).best for r in agreements]
+def _jackknife(peaks: Array) -> float:
+    """Standard deviation, s, from the best shifts (n,) without one of n angles each; NaN without any."""
     n = len(peaks)
-    return float(np.sqrt((n - 1) / n * np.sum((np.array(peaks) - np.mean(peaks)) ** 2)))
+    return float(np.sqrt((n - 1) / n * np.sum((peaks - np.mean(peaks)) ** 2))) if n else float("nan")

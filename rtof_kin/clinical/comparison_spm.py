@@ -19,6 +19,7 @@ from scipy import stats
 
 from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL
+from rtof_kin.clinical.comparison_samples import Pair
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.packages import optional
@@ -81,8 +82,9 @@ def _untestable(one: AngleComparison) -> str:
     """Why an angle has no test; '' if it has."""
     if min(one.repeats) < FEWEST:
         return f"{one.repeats[0]} and {one.repeats[1]} repeats; {FEWEST} of each are needed"
-    a, b = one.pair.a.values, one.pair.b.values
-    spreads = (b - a,) if one.pair.paired else (a, b)
+    pair = one.pair()
+    a, b = pair.a.values, pair.b.values
+    spreads = (b - a,) if pair.paired else (a, b)
     if min(float(own.std(axis=0, ddof=1).min()) for own in spreads) < _NO_SPREAD:
         return "all repeats have the same value"
     return ""
@@ -90,21 +92,22 @@ def _untestable(one: AngleComparison) -> str:
 
 def _tested(one: AngleComparison, level: float) -> AngleSpm:
     spm1d = optional("spm1d", "clinical", "statistical parametric mapping")
-    a, b = one.pair.a.values, one.pair.b.values
-    field = spm1d.stats.ttest_paired(b, a) if one.pair.paired else _welch(spm1d, a, b)
+    pair = one.pair()
+    a, b = pair.a.values, pair.b.values
+    field = spm1d.stats.ttest_paired(b, a) if pair.paired else _welch(spm1d, a, b)
     inference = field.inference(alpha=level, two_tailed=True, interp=True)
     last = a.shape[1] - 1
     clusters = []
     for cluster in inference.clusters:
         start, stop = (float(end) / last for end in cluster.endpoints)
-        beyond = _beyond(one, start, stop)
+        beyond = _beyond(pair, start, stop)
         clusters.append(SpmCluster(start, stop, float(cluster.P), int(cluster.csign), beyond))
     return AngleSpm(
         one.name,
         np.asarray(field.z, dtype=float),
         float(field.df[1]),
         float(inference.zstar),
-        one.pair.paired,
+        pair.paired,
         one.repeats,
         tuple(clusters),
     )
@@ -122,12 +125,12 @@ def _welch(spm1d: Any, a: Array, b: Array) -> Any:
     return field
 
 
-def _beyond(one: AngleComparison, start: float, stop: float) -> bool | None:
+def _beyond(pair: Pair, start: float, stop: float) -> bool | None:
     """Whether B - A exceeds its band of lasting errors between two phases; None without bands."""
-    bands = [own.sigma.mean(axis=0) ** 2 for own in (one.pair.a, one.pair.b) if own.sigma is not None]
+    bands = [own.sigma.mean(axis=0) ** 2 for own in (pair.a, pair.b) if own.sigma is not None]
     if not bands:
         return None
-    a, b = one.curves
+    a, b = pair.a.curve, pair.b.curve
     phases = np.linspace(0, 1, len(a))
     inside = (phases >= start - 1e-9) & (phases <= stop + 1e-9)
     if not inside.any():  # between two phases

@@ -23,6 +23,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SINGULAR_MARGIN, SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable, JointCoordinateSystem
@@ -75,7 +76,7 @@ def angle_rates(sequence: str, R: Array) -> Array:
 
 
 def reliable_samples(
-    table: AngleTable, times: Array, too_fast: Mask, sigma: Array | None, known: Mask
+    table: AngleTable, times: Array, too_fast: Mask, sigma: NDArray[np.float32] | None, known: Mask
 ) -> tuple[Mask, str]:
     """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none; times: (T,) s;
     too_fast: (T, joints) from `turns_too_fast`; sigma: (T, A) rad; None if the motion has no confidence; known: (T, A)
@@ -221,7 +222,7 @@ class DecomposedAngles:
         """Allocate the angles; times: (T,) s."""
         self.skeleton, self.table, self.times = skeleton, table, times
         self.angles: Array = np.full((len(times), len(table.rows)), np.nan)
-        self.sigma: Array | None = None
+        self.sigma: NDArray[np.float32] | None = None
         self.too_fast: Mask = np.zeros((len(times), len(table.joints)), dtype=np.bool_)
 
     def add(self, frames: slice, poses: PoseSequence, own: slice, confidence: Confidence | None) -> None:
@@ -236,5 +237,5 @@ class DecomposedAngles:
             self.too_fast[frames, j] = turns_too_fast(joint, poses.times, R[joint.name])[own]
         if confidence is not None:
             if self.sigma is None:
-                self.sigma = np.full(self.angles.shape, np.nan)
+                self.sigma = np.full(self.angles.shape, np.nan, np.float32)
             self.sigma[frames] = angle_sigmas(R, self.table, self.skeleton, confidence)[own]

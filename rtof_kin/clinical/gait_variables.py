@@ -116,7 +116,8 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False, f
         ahead = np.array([progression(strides[k], gait.events) for k in own])[:, None]
         mirror = 1 if side == "right" else -1
         for v, (name, sign, is_heading) in enumerate(_ANGLES if own else ()):
-            found = repeats_of(feet if "foot" in name else angles, name.format(side=side), spans, PERCENT / 100)
+            angle = (feet if "foot" in name else angles).select([name.format(side=side)])
+            found = repeats_of(angle, spans, PERCENT / 100)
             rows = found.values * (sign * (mirror if name in ("pelvis_list", "pelvis_rotation") else 1))
             if is_heading:
                 rows = rows - mirror * ahead

@@ -31,7 +31,7 @@ from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE, repetition_spans, with_strides
 from rtof_kin.clinical.comparison_change import Made, Measured
-from rtof_kin.clinical.comparison_samples import Spans, own_side, repeats_of, whole
+from rtof_kin.clinical.comparison_samples import Spans, extremes, own_side, repeats_of
 from rtof_kin.clinical.gait_events import Stride
 from rtof_kin.clinical.repetitions import KINDS
 from rtof_kin.core.array_types import Array
@@ -265,13 +265,13 @@ def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Me
         if row.name in HEADINGS or row.about_vertical:
             continue
         if by == "range":
-            samples, _ = whole(angles, row.name)
+            samples, _ = extremes(angles.select([row.name]))
             enough = ranges[row.name].is_comparable
         else:
             side = own_side(row.name, spans, spans)
             if side is None:
                 continue
-            every = repeats_of(angles, row.name, spans[side])
+            every = repeats_of(angles.select([row.name]), spans[side])
             samples = every.only(every.complete)
             enough = len(samples.values) >= max(1, LEAST_SHARE * len(every.values))
         if enough:

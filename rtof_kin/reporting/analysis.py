@@ -136,11 +136,11 @@ def document(analysis: MotionAnalysis, sensors: int | None = None) -> Document:
     """
     curves = curve_bands(analysis.ranges, sensors)
     angles, gait = analysis.angles, analysis.gait
-    series = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
+    series: list[NDArray[Any]] = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
     columns = [f"{name}{kind}_deg" for kind in ("", "_sigma")[: len(series)] for name in angles.names]
 
     def in_degrees(frames: slice) -> Array:
-        return np.degrees(np.hstack([one[frames] for one in series]))
+        return np.asarray(np.degrees(np.hstack([one[frames] for one in series])))
 
     tables = {
         MARKER: Table(("time", *columns), _Series(angles.times, in_degrees)),

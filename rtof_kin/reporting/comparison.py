@@ -270,7 +270,7 @@ def _cautions(found: Comparison) -> list[str]:
             if len(single) == 1
             else "Some angles have a single repeat in both: how much repeats vary is not included there"
         )
-    little = [one.name for one in found.angles if one.pair.share < 0.5]
+    little = [one.name for one in found.angles if one.share < 0.5]
     if little:
         what = "frames" if found.by in ("time", "range") else "repeats"
         names = some([label(name) for name in little])
@@ -313,7 +313,7 @@ def _axis(found: Comparison) -> str:
             text += f", with B shifted by {found.shift:+.3f} s"
         if found.alignment is not None:
             text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
-        shares = [f"{100 * find(one.pair.share for one in found.angles):.0f}" for find in (min, max)]
+        shares = [f"{100 * find(one.share for one in found.angles):.0f}" for find in (min, max)]
         span = " to ".join(dict.fromkeys(shares))
         return f"{text}; {span} % of the frames, by angle, are observed and reliable in both."
     if found.by == "range":
@@ -490,7 +490,7 @@ def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
         "correlation": None if errors is None else number(errors.correlation),
         **{name: number(value) for name, value in (errors.agreement if errors else NO_AGREEMENT).figures.items()},
         "outside_band_share": number(one.outside),
-        "share": number(one.pair.share),
+        "share": number(one.share),
         "repeats_a": one.repeats[0],
         "repeats_b": one.repeats[1],
     }
@@ -525,7 +525,7 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     errors = one.errors
     assert errors is not None
     agreed = errors.agreement
-    share = f"{100 * one.pair.share:.0f} %"
+    share = f"{100 * one.share:.0f} %"
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
@@ -588,11 +588,11 @@ def _charts(found: Comparison) -> Data:
 
     groups = []
     for one in found.angles:
-        (a, b), (sigma_a, sigma_b), name = one.curves, one.sigmas, label(one.name)
-        counts = one.repeats if max(one.repeats) > 1 else (0, 0)
-        both = [series("A", a, sigma_a, counts[0]), series("B", b, sigma_b, counts[1])]
+        pair, name = one.pair(), label(one.name)
+        a, b, counts = pair.a.curve, pair.b.curve, one.repeats if max(one.repeats) > 1 else (0, 0)
+        both = [series("A", a, pair.a.curve_sigma, counts[0]), series("B", b, pair.b.curve_sigma, counts[1])]
         groups.append({"name": name, "positive": one.positive, "series": both})
-        groups.append({"name": f"{name}: B - A", "series": [series("difference", b - a, one.difference_sigma)]})
+        groups.append({"name": f"{name}: B - A", "series": [series("difference", b - a, pair.difference_sigma)]})
     scale = 1.0 if found.by == "time" else 100.0
     return {"x": [round(scale * float(x), 4) for x in found.axis[shown]], "groups": groups, "by": found.by}
 

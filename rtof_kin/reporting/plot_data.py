@@ -140,7 +140,7 @@ def player_data(motion: Motion | MotionSource, shown: slice, floor: Any) -> Data
     """
     source, step = MotionSource.of(motion), shown.step or 1
     skeleton, masks = source.skeleton, source.masks
-    p = np.concatenate([b.motion.poses.p_world_joint[b.own][-b.start % step :: step] for b in source.blocks()])
+    p = np.concatenate([b.motion.poses.p_world_joint[b.own][-b.start % step :: step].copy() for b in source.blocks()])
     known = np.isfinite(p).all(axis=(1, 2))
     middle = np.zeros(3)
     if known.any():

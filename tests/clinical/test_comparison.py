@@ -115,7 +115,7 @@ def test_only_samples_usable_in_both_are_compared() -> None:
     a = replace(a, angles=replace(a.angles, values=values))
     b = replace(b, angles=replace(b.angles, values=spoiled, trusted=trusted, singular=singular))
     knee = of(compare(a, b, "time"), KNEE)
-    assert knee.pair.share == pytest.approx(210 / 300)
+    assert knee.share == pytest.approx(210 / 300)
     assert knee.errors is not None
     assert np.degrees(knee.errors.rmse) == pytest.approx(1.0)
 
@@ -140,7 +140,7 @@ def test_another_rate_is_interpolated_but_no_gap_is() -> None:
     knee = of(compare(one("a", TIMES, {KNEE: WAVE}, 2.0), slow, "time"), KNEE)
     assert knee.errors is not None
     assert np.degrees(knee.errors.rmse) < 0.05
-    assert knee.pair.share == pytest.approx(0.9, abs=0.01)
+    assert knee.share == pytest.approx(0.9, abs=0.01)
 
 
 def test_without_bands_of_one_the_other_alone_counts() -> None:

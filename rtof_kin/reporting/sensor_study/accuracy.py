@@ -77,7 +77,7 @@ def measure_set(
     parts = np.array([_loss(part) for part in np.array_split(lost, PARTS)])
     half = np.full(len(angles.names), np.nan)
     if angles.sigma is not None:
-        half = BAND_95 * _by_column(np.median, angles.sigma)
+        half = BAND_95 * _by_column(np.median, angles.sigma.astype(float))
     return SensorSet(
         sensors, _by_column(_rms, off), seen, _by_column(_rms, error), half, float(np.nan_to_num(_loss(lost))), parts
     )
