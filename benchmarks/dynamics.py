@@ -105,8 +105,8 @@ def run(case: Case) -> Found | None:
     truth = motion.skeleton.motion(all_observed(at_times(recording.truth, motion.times)))
     found, true = joint_torques(motion, KG), joint_torques(truth, KG)
     error = np.hstack([found.torques - true.torques, found.wrench - true.wrench])
-    wrench = np.diagonal(found.wrench_covariances[0], axis1=1, axis2=2)
-    sigma = np.hstack([found.sigma_parts[0], np.sqrt(wrench)]).astype(float)
+    wrench = np.diagonal(found.wrench_covariances(slice(None))[:, 0], axis1=1, axis2=2)
+    sigma = np.hstack([found.sigma_parts(slice(None))[:, 0], np.sqrt(wrench)])
     known = np.isfinite(error + sigma).all(axis=1)
     known[np.arange(len(known)) % EVERY != 0] = False
     if not known.any():

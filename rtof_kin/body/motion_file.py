@@ -104,7 +104,7 @@ def nodes_of(entries: Array) -> Index:
     return found
 
 
-def interpolated(found: Index, entries: Array, frames: Index) -> Array:
+def interpolated(found: Index, entries: NDArray[np.floating[Any]], frames: Index) -> Array:
     """Return entries (n, M, k) in `frames` (n,), from the first to the last node; `found` (K,): the nodes' frames."""
     before = np.searchsorted(found, frames, side="right") - 1
     after = np.minimum(before + 1, len(found) - 1)
@@ -221,7 +221,7 @@ class MotionReader(MotionSource, AbstractContextManager["MotionReader"]):
                 times = checked_times("motion times", self._file.whole("times"))
                 self._check_arrays(len(times))
             failed.pop_all()
-        super().__init__(skeleton, times, self._frames, corrections=self._corrections)
+        super().__init__(skeleton, times, corrections=self._corrections)
 
     def __exit__(self, *_: object) -> None:
         """Close the file."""
@@ -282,7 +282,7 @@ class MotionReader(MotionSource, AbstractContextManager["MotionReader"]):
             if shapes[name][0] != length:
                 raise ShapeError(f"{name}: arrays of different lengths, {shapes[name][0]} and {length}")
 
-    def _frames(self, start: int, stop: int, confidence: bool) -> Motion:
+    def _read(self, start: int, stop: int, confidence: bool) -> Motion:
         rows = self._file.rows
         with reading(self.path, f"frames {start} to {stop}: {{}}", RtofError, ValueError, TypeError):
             q = readonly("q", rows("q", start, stop), (stop - start, self.skeleton.nq))

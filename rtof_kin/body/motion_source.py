@@ -44,11 +44,13 @@ class MotionSource(Sampled):
         skeleton: of the subject. times: (T,) s. corrections: by hand, of the recording.
     """
 
+    _read: Callable[[int, int, bool], Motion]  #: Frames [start, stop), with their confidence if the third is True
+
     def __init__(
         self,
         skeleton: SkeletonModel,
         times: Array,
-        read: Callable[[int, int, bool], Motion],
+        read: Callable[[int, int, bool], Motion] | None = None,
         masks: ObservationMasks | None = None,
         corrections: tuple[Correction, ...] = (),
     ):
@@ -56,12 +58,14 @@ class MotionSource(Sampled):
 
         Args:
             times: (T,) s.
-            read: returns frames [start, stop), which have to have their confidence if the third is True.
+            read: as `_read`, which a subclass has as a method: kept here, that would be a cycle, and masks stay.
             masks: of all frames; by default the first pass over the motion collects them.
             corrections: by hand, of the recording.
         """
         self.skeleton, self.times = skeleton, times
-        self._read, self._masks, self.corrections = read, masks, corrections
+        self._masks, self.corrections = masks, corrections
+        if read is not None:
+            self._read = read
 
     @classmethod
     def of(cls, motion: Motion | Self) -> MotionSource:
@@ -128,6 +132,7 @@ class MotionSource(Sampled):
             stop = min(start + BLOCK, len(self))
             before = min(margin, start)
             motion = self._read(start - before, min(stop + margin, len(self)), confidence)
+            return_free_memory()  # that reading needed
             block = Block(motion, start, stop, before)
             if self._masks is None:
                 parts.append(ObservationMasks.of(block.motion)[block.own])

@@ -162,6 +162,7 @@ def angles_and_paths(
         for one in found:
             one.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
         paths.add(block.frames, block.motion.poses, block.own)
+        del block  # before the next one is read
     return [angles_of(one, source.masks) for one in found], paths.paths(source.masks, source.corrections)
 
 

@@ -91,6 +91,7 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
 
 
 By = Literal["time", "cycle", "repetition", "range"]
+Pairs = Mapping[str, Callable[[], Pair]]  #: Angle -> what makes its samples
 LEAST_SHARE: Final = 0.1  #: Smallest share of the common frames, or of all repeats, with which an angle is compared
 LEAST_OF_RANGE: Final = 0.8
 """Smallest share of the common frames with which a range in time is tested: gaps are where angles are largest
@@ -222,10 +223,8 @@ def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list
 
 def sides_of(one: Compared) -> tuple[Compared, Compared]:
     """Return the left and the right side of a motion."""
-    left, right = (
-        replace(one, name=side, side=side, strides={"": one.strides.get(side, [])}, made=None)
-        for side in ("left", "right")
-    )
+    own = {side: {"": one.strides.get(side, [])} for side in ("left", "right")}
+    left, right = (replace(one, name=side, side=side, strides=strides, made=None) for side, strides in own.items())
     return left, right
 
 
@@ -258,10 +257,10 @@ def compare(
         chosen = [name for name in chosen if name not in left_out]
     axis, pair = _pairs(a, b, by, shift, kind)
     shared = shared_of((a.made, b.made), a.rows) if by in ("cycle", "repetition") else {}
-    positive = {row.name: row.positive for row in a.rows if row.name in chosen}
+    positive = {row.name: row.positive for row in a.rows}
     angles = _tested({name: partial(pair, name) for name in chosen}, by, axis, positive, shared)
-    few = dict.fromkeys(chosen, "hardly any common sample is observed and reliable in both")
-    left_out |= {name: why for name, why in few.items() if name not in [one.name for one in angles]}
+    few = [name for name in chosen if name not in [one.name for one in angles]]
+    left_out |= dict.fromkeys(few, "hardly any common sample is observed and reliable in both")
     if not angles:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
@@ -322,11 +321,7 @@ def _span(one: Compared) -> str:
 
 
 def _tested(
-    pairs: Mapping[str, Callable[[], Pair]],
-    by: By,
-    axis: Array | None,
-    positive: Mapping[str, str],
-    shared: Mapping[str, float],
+    pairs: Pairs, by: By, axis: Array | None, positive: Mapping[str, str], shared: Mapping[str, float]
 ) -> list[AngleComparison]:
     """Differences of all angles with enough samples, tested together."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")

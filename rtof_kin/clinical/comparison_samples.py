@@ -132,13 +132,11 @@ def in_time(a: ClinicalAngles, b: ClinicalAngles, shift: float) -> Pair:
     """Return one angle at the times of A at which there is B too; shift: s, added to the times of B."""
     inside = in_both(a, b, shift)
     at = np.clip(a.times[inside] - shift, b.times[0], b.times[-1])
-    values_a, sigma_a = (None if x is None else x[inside] for x in usable(a))
-    values_b, sigma_b = (
-        None if x is None else signals.interpolate(b.times, x, at, _GAP / b.rate_hz) for x in usable(b)
-    )
-    assert values_a is not None
-    assert values_b is not None
-    values_b = values_b - _TURN * np.round((values_b - values_a) / _TURN)
+    (values_a, sigma_a), (values_b, sigma_b), gap = usable(a), usable(b), _GAP / b.rate_hz
+    values_a, values_b = values_a[inside], signals.interpolate(b.times, values_b, at, gap)
+    values_b -= _TURN * np.round((values_b - values_a) / _TURN)
+    sigma_a = None if sigma_a is None else sigma_a[inside]
+    sigma_b = None if sigma_b is None else signals.interpolate(b.times, sigma_b, at, gap)
     both = np.isfinite(values_a) & np.isfinite(values_b)
     first, second = (
         Samples(np.where(both, values, np.nan)[None], None if sigma is None else np.where(both, sigma, np.nan)[None])

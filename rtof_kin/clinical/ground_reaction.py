@@ -205,7 +205,7 @@ LEAST_FORCE: Final = 0.1
 OUTSIDE: Final = 0.03  #: [m] outside the soles at which a centre of pressure contradicts the contacts
 MANY: Final = 10.0  #: [%] of the frames from which on a contradiction is noted
 _FRICTION: Final = 0.9  #: Largest coefficient of friction between shoes and floors
-_BLOCK: Final = 2000  #: [frames] of the linear programmes at a time
+_BLOCK: Final = 2000  #: Frames that are computed at a time
 
 
 @dataclass(frozen=True)
@@ -233,41 +233,39 @@ class GroundReaction:
 def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
     """Return force and centre of pressure."""
     force = torques.wrench[:, :3]
-    by_motion, by_masses = torques.wrench_covariances.astype(float)
-    unknown = np.isnan(by_motion).all(axis=(1, 2), keepdims=True)
-    covariance = np.where(unknown, 0.0, by_motion) + by_masses
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
     weight = torques.weight_kg * STANDARD_GRAVITY
     missed = (contacts.state == Contact.NONE) & (force[:, 2] > MISSED * weight)
     state = np.where(missed, Contact.NOT_KNOWN, contacts.state).astype(np.uint8)
     on_floor = np.isin(state, (Contact.RIGHT, Contact.LEFT, Contact.BOTH))
     loaded = (force[:, 2] > LEAST_FORCE * weight) & on_floor
-    pressure, pressure_covariance = _pressure(torques, covariance, contacts.floor)
-    pressure[~loaded], pressure_covariance[~loaded] = np.nan, np.nan
-    soles = np.stack([_sole(paths, side) for side in SIDES], axis=1)
-    soles[:, [side in contacts.by_ankle for side in SIDES]] = np.nan
-    outside = _outside(pressure, soles, state)
-    vertical = _vertical(force[:, 2], pressure, pressure_covariance, soles, state)
-    found = GroundReaction(
-        torques.times,
-        torques.weight_kg,
-        state,
-        force,
-        sigma,
-        pressure,
-        np.sqrt(np.maximum(np.diagonal(pressure_covariance, axis1=1, axis2=2), 0.0)),
-        outside,
-        vertical,
-        contacts.floor,
-        (),
-    )
+    parts = []
+    for start in range(0, len(force), _BLOCK):
+        own = slice(start, start + _BLOCK)
+        by_motion, by_masses = np.moveaxis(torques.wrench_covariances(own), 1, 0)
+        unknown = np.isnan(by_motion).all(axis=(1, 2), keepdims=True)
+        covariance = np.where(unknown, 0.0, by_motion) + by_masses
+        pressure, spread = _pressure(torques.wrench[own], torques.reference[own], covariance, contacts.floor)
+        pressure[~loaded[own]], spread[~loaded[own]] = np.nan, np.nan
+        soles = np.stack([_sole(paths, side, own) for side in SIDES], axis=1)
+        soles[:, [side in contacts.by_ankle for side in SIDES]] = np.nan
+        outside = _outside(pressure, soles, state[own])
+        vertical = _vertical(force[own, 2], pressure, spread, soles, state[own])
+        parts.append((_deviations(covariance)[:, :3], pressure, _deviations(spread), outside, vertical))
+    sigma, pressure, spread, outside, vertical = map(np.concatenate, zip(*parts, strict=True))
+    known = torques.times, torques.weight_kg, state, force, sigma, pressure, spread, outside, vertical
+    found = GroundReaction(*known, contacts.floor, ())
     return replace(found, notes=(*_notes(found, missed), *contacts.notes))
 
 
-def _pressure(torques: JointTorques, covariance: Array, floor: float) -> tuple[Array, Array]:
-    """Centre of pressure (T, 2), m, and its covariance (T, 2, 2) relative to the reference."""
-    force, moment = torques.wrench[:, :3], torques.wrench[:, 3:]
-    height = torques.reference[:, 2] - floor
+def _deviations(covariance: Array) -> Array:
+    """Standard deviations (N, k) of covariances (N, k, k)."""
+    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+
+
+def _pressure(wrench: Array, reference: Array, covariance: Array, floor: float) -> tuple[Array, Array]:
+    """Centre of pressure (N, 2), m, and its covariance (N, 2, 2) relative to the reference."""
+    force, moment = wrench[:, :3], wrench[:, 3:]
+    height = reference[:, 2] - floor
     with np.errstate(divide="ignore", invalid="ignore"):
         per = 1 / force[:, 2]
         x = -(moment[:, 1] + height * force[:, 0]) * per
@@ -277,12 +275,12 @@ def _pressure(torques: JointTorques, covariance: Array, floor: float) -> tuple[A
         J[:, 0, 2], J[:, 1, 2] = -x * per, -y * per
         J[:, 0, 4], J[:, 1, 3] = -per, per
         spread = J @ covariance @ np.swapaxes(J, -1, -2)
-    return torques.reference[:, :2] + np.stack([x, y], axis=1), np.asarray(spread)
+    return reference[:, :2] + np.stack([x, y], axis=1), np.asarray(spread)
 
 
-def _sole(paths: BodyPaths, side: str) -> Array:
-    """(T, 4, 2) m, corners of a sole on the floor, in order around it."""
-    heel, toe = (paths.points[f"{side} {word}"][:, :2] for word in ("heel", "toe"))
+def _sole(paths: BodyPaths, side: str, frames: slice) -> Array:
+    """(N, 4, 2) m, corners of a sole on the floor, in order around it."""
+    heel, toe = (paths.points[f"{side} {word}"][frames, :2] for word in ("heel", "toe"))
     way = toe - heel
     with np.errstate(invalid="ignore", divide="ignore"):
         along = way / np.linalg.norm(way, axis=1, keepdims=True)
@@ -292,7 +290,7 @@ def _sole(paths: BodyPaths, side: str) -> Array:
 
 
 def _outside(pressure: Array, soles: Array, state: NDArray[np.uint8]) -> Array:
-    """(T,) m, distance of points (T, 2) from the convex hull of the soles (T, 2, 4, 2) on the floor."""
+    """(N,) m, distance of points (N, 2) from the convex hull of the soles (N, 2, 4, 2) on the floor."""
     out = np.full(len(pressure), np.nan)
     for contact, sides in {Contact.RIGHT: [0], Contact.LEFT: [1], Contact.BOTH: [0, 1]}.items():
         frames = np.flatnonzero((state == contact) & np.isfinite(pressure[:, 0]))
@@ -323,7 +321,7 @@ def _hull_distance(points: Array, corners: Array) -> Array:
 
 
 def _vertical(force: Array, pressure: Array, covariance: Array, soles: Array, state: NDArray[np.uint8]) -> Array:
-    """(T, 2, 2) N, lowest and highest vertical force on each foot."""
+    """(N, 2, 2) N, lowest and highest vertical force on each foot."""
     out = np.full((len(force), 2, 2), np.nan)
     for side, contact in enumerate((Contact.RIGHT, Contact.LEFT)):
         alone = state == contact
@@ -332,13 +330,11 @@ def _vertical(force: Array, pressure: Array, covariance: Array, soles: Array, st
     both = np.flatnonzero((state == Contact.BOTH) & (force > 0))
     out[both] = np.stack([np.zeros(len(both)), force[both]], axis=1)[:, None]  # without soles
     seen = both[np.isfinite(pressure[both, 0]) & np.isfinite(soles[both]).all(axis=(1, 2, 3))]
-    for start in range(0, len(seen), _BLOCK):
-        own = seen[start : start + _BLOCK]
-        low, high = _shares(_band(pressure[own], covariance[own]), soles[own])
-        known = np.isfinite(low)
-        F = force[own][known]
-        out[own[known], 0] = np.stack([low[known] * F, high[known] * F], axis=1)
-        out[own[known], 1] = np.stack([(1 - high[known]) * F, (1 - low[known]) * F], axis=1)
+    low, high = _shares(_band(pressure[seen], covariance[seen]), soles[seen])
+    known = np.isfinite(low)
+    F, low, high = force[seen][known], low[known], high[known]
+    out[seen[known], 0] = np.stack([low * F, high * F], axis=1)
+    out[seen[known], 1] = np.stack([(1 - high) * F, (1 - low) * F], axis=1)
     return out
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
@@ -17,7 +18,6 @@ from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.ground_reaction import Contact, GroundReaction
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
 from rtof_kin.formats.motion_views import AnyMotion
 from rtof_kin.formats.trial_results import TrialResults
 
@@ -32,6 +32,7 @@ _ANGLES: Final = (
 )
 """Plug-in Gait's name, our joint, intrinsic axes in ISB frames, which of the three is each component, its sign on the
 right; on the left the limbs are mirrored, and pelvis and spine have the other sign in components 2 and 3."""
+_Points = dict[str, NDArray[np.float32]]  # in the 32 bits of the file
 _MEANS: Final = {
     "stride_time": ("Stride Time", "s", 1.0),
     "cadence": ("Cadence", "steps/min", 1.0),
@@ -64,7 +65,7 @@ def trial_results(
     return TrialResults(tuple(events), points, walked, subject, mass_kg, found.paths.skeleton.height)
 
 
-def plug_in_gait_angles(found: MotionAnalysis) -> dict[str, Array]:
+def plug_in_gait_angles(found: MotionAnalysis) -> _Points:
     """Return three components (T, 3), deg, of each name, e.g. 'LHipAngles'; NaN where unobserved."""
     joints, out = {joint.name: (j, joint) for j, joint in enumerate(found.table.joints)}, {}
     for side in SIDES:
@@ -80,20 +81,21 @@ def plug_in_gait_angles(found: MotionAnalysis) -> dict[str, Array]:
                     R = so3.euler_to_matrix(joint.sequence, raw[start:stop])
                     raw[start:stop] = so3.euler_continuous(so3.matrix_to_euler(sequence, R))
             mirrored = -1 if side == "left" and not joint.side else 1
-            out[f"{side[0].upper()}{name}Angles"] = np.degrees(raw[:, order] * signs * [1, mirrored, mirrored])
+            raw = raw[:, order] * signs * [1, mirrored, mirrored]
+            out[f"{side[0].upper()}{name}Angles"] = np.degrees(raw).astype(np.float32)
     return out
 
 
-def _forces(found: GroundReaction) -> dict[str, Array]:
+def _forces(found: GroundReaction) -> _Points:
     """Force of the floor on the person, N, in world: of all contacts, and of each foot that bears all or none of it."""
-    out = {"GroundReactionForce": found.force}
+    out = {"GroundReactionForce": found.force.astype(np.float32)}
     for name, own, other in (("R", Contact.RIGHT, Contact.LEFT), ("L", Contact.LEFT, Contact.RIGHT)):
         share = np.select([found.state == own, np.isin(found.state, (other, Contact.NONE))], [1.0, 0.0], np.nan)
-        out[f"{name}GroundReactionForce"] = found.force * share[:, None]
+        out[f"{name}GroundReactionForce"] = (found.force * share[:, None]).astype(np.float32)
     return out
 
 
-def _moments(found: MotionAnalysis) -> dict[str, Array]:
+def _moments(found: MotionAnalysis) -> _Points:
     """Net moments, N mm, positive where they turn the joint to the positive side of the three angles."""
     torques, joints, out = found.torques, {one.name: one for one in found.paths.skeleton.table.joints}, {}
     assert torques is not None  # there is a body mass
@@ -102,7 +104,7 @@ def _moments(found: MotionAnalysis) -> dict[str, Array]:
             dofs = joints[found.table.segments[f"{side} {segment}"]].dofs
             signs = [-1000.0 if dof.clinical.startswith("-") else 1000.0 for dof in dofs]
             own = torques.torques[:, [torques.dof_names.index(dof.urdf) for dof in dofs]]
-            out[f"{side[0].upper()}{name}MomentISB"] = own * signs
+            out[f"{side[0].upper()}{name}MomentISB"] = (own * signs).astype(np.float32)
     return out
 
 

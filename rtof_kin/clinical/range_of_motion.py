@@ -7,7 +7,6 @@ bound. The intervals of both ends and of the range contain these samples, so tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -169,9 +168,9 @@ def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
     return signals.low_pass(values, rate_hz, cutoff_hz)
 
 
-def ranges_of_motion(angles: ClinicalAngles, names: Sequence[str] | None = None) -> tuple[RangeOfMotion, ...]:
-    """Return the range of motion of each angle, in their order, or of those named."""
-    return tuple(_range(angles, angles.names.index(name)) for name in (angles.names if names is None else names))
+def ranges_of_motion(angles: ClinicalAngles) -> tuple[RangeOfMotion, ...]:
+    """Return the range of motion of each angle, in their order."""
+    return tuple(_range(angles, column) for column in range(len(angles.rows)))
 
 
 def _range(angles: ClinicalAngles, column: int) -> RangeOfMotion:

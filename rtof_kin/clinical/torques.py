@@ -27,20 +27,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.kinematics import LIMBS
+from rtof_kin.body.motion_file import interpolated
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
-from rtof_kin.clinical.body_dynamics import MASS_SIGMA, UNKNOWN, BodyDynamics, PoseErrors, pose_errors
+from rtof_kin.clinical.body_dynamics import MASS_SIGMA, UNKNOWN, BodyDynamics, pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.confidence import Confidence
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
 EVERY: Final = 1 / 15  #: [s] between frames in which they are computed; variances are interpolated linearly
+_ERRORS: Final = 100  # frames whose errors are at once in memory
 
 
 def dynamics_confidence(
@@ -49,39 +52,32 @@ def dynamics_confidence(
     v: Array,
     a: Array,
     carries: NDArray[np.int_],
-    errors: PoseErrors | None,
+    stated: Confidence | None,
     rate_hz: float,
-) -> tuple[Array, Array]:
-    """Return variances of torques (2, n, D), (N m)^2, and covariances (2, n, 6, 6) of the wrench about the reference,
-    N and N m: of the motion, NaN without its errors, and of the masses.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return variances of torques (n, 2, D), (N m)^2, and covariances (n, 2, 6, 6) of the wrench about the reference,
+    N and N m: of the motion, NaN without its confidence, and of the masses.
 
     Args:
         body: with the subject's mass. q, v, a: (n, nq), (n, nv), (n, nv), filtered.
-        carries: (n,) see `BodyDynamics.at`. errors: of these frames. rate_hz: of the motion, Hz.
+        carries: (n,) see `BodyDynamics.at`. stated: of these frames. rate_hz: of the motion, Hz.
     """
     n, D = len(q), body.skeleton.nv - 6
-    torques, wrench = np.full((2, n, D), np.nan), np.full((2, n, 6, 6), np.nan)
-    gains = None if errors is None else errors.gains(rate_hz)
+    torques, wrench = (np.full((n, 2, *shape), np.nan, np.float32) for shape in ((D,), (6, 6)))
     for t in range(n):
         S = body.derivatives(q[t], v[t], a[t], int(carries[t]))
-        if errors is not None and gains is not None:
-            value, velocity, acceleration = (rows @ errors.factors[t] for rows in (S.value, S.velocity, S.acceleration))
-            torques[0, t] = _products(value[:D], velocity[:D], acceleration[:D], gains)
-            wrench[0, t] = _covariance(value[D:], velocity[D:], acceleration[D:], gains)
-        torques[1, t] = MASS_SIGMA**2 * np.sum(S.masses[:D] ** 2, axis=1)
-        wrench[1, t] = MASS_SIGMA**2 * S.masses[D:] @ S.masses[D:].T
+        if stated is not None:
+            if t % _ERRORS == 0:
+                few = slice(t, t + _ERRORS)
+                errors = pose_errors(body.skeleton, q[few], stated[few], body.skeleton.forward_kinematics(q[few])[1])
+                gains = errors.gains(rate_hz)
+            factors = errors.factors[t % _ERRORS]
+            value, velocity, acceleration = (rows @ factors for rows in (S.value, S.velocity, S.acceleration))
+            torques[t, 0] = _products(value[:D], velocity[:D], acceleration[:D], gains)
+            wrench[t, 0] = _covariance(value[D:], velocity[D:], acceleration[D:], gains)
+        torques[t, 1] = MASS_SIGMA**2 * np.sum(S.masses[:D] ** 2, axis=1)
+        wrench[t, 1] = MASS_SIGMA**2 * S.masses[D:] @ S.masses[D:].T
     return torques, wrench
-
-
-def interpolated(nodes: Index, values: Array, count: int) -> Array:
-    """Return values (2, count, ...) between nodes; nodes: (n,) frames, from 0 to count - 1; values: (2, n, ...)."""
-    frames = np.arange(count)
-    after = np.clip(np.searchsorted(nodes, frames), 1, max(len(nodes) - 1, 1)) if len(nodes) > 1 else frames
-    if len(nodes) == 1:
-        return values
-    share = (frames - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
-    share = share.reshape(1, -1, *[1] * (values.ndim - 2))
-    return np.asarray((1 - share) * values[:, after - 1] + share * values[:, after])
 
 
 def _products(value: Array, velocity: Array, acceleration: Array, gains: Array) -> Array:
@@ -114,25 +110,32 @@ class JointTorques:
     """Torques of all revolutes, and the external wrench on the root."""
 
     times: Array  #: (T,) seconds
-    torques: Array  #: (T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown
+    torques: NDArray[np.float32]
+    """(T, D) N m about the URDF's revolutes, positive along their axes; NaN where unknown."""
     dof_names: tuple[str, ...]
-    root_wrench: Array  #: (T, 6) external force, N, and moment about the root, N m, in world axes
-    unexplained: Array  #: (T, 6) the part of it that is not assigned to a foot
+    root_wrench: NDArray[np.float32]  #: (T, 6) external force, N, and moment about the root, N m, in world axes
+    unexplained: NDArray[np.float32]  #: (T, 6) the part of it that is not assigned to a foot
     weight_kg: float  #: Body mass, kg
     notes: tuple[str, ...]
-    sigma_parts: NDArray[np.float32]
-    """(2, T, D) N m, standard deviations of the torques by the motion's errors and by those of the masses
-    (`torques`). The first is NaN where the motion has no confidence."""
     wrench: Array  #: (T, 6) external force and moment about `reference`, world axes
-    wrench_covariances: NDArray[np.float32]  #: (2, T, 6, 6) of `wrench`, by the same two components, N and N m
     reference: Array
     """(T, 3) m, the middle between heel and toe: of the foot that bears all load, else the mean of both."""
+    nodes: Index  #: (n,) frames of the next two, which are linear between them
+    variances: NDArray[np.float32]
+    """(n, 2, D) (N m)^2, of torques by the motion's errors and by those of the masses (`torques`). The first is NaN
+    where the motion has no confidence."""
+    node_covariances: NDArray[np.float32]  #: (n, 2, 6, 6) of `wrench`, by the same two components, N and N m
 
-    @property
-    def sigma(self) -> Array:
-        """(T, D) N m, standard deviations of the torques by both components."""
-        motion, masses = self.sigma_parts.astype(float)
-        return np.asarray(np.hypot(motion, masses))
+    def sigma_parts(self, frames: slice) -> Array:
+        """Return standard deviations (N, 2, D), N m, of torques by both components."""
+        found = interpolated(self.nodes, self.variances, np.arange(len(self.times))[frames])
+        return np.asarray(np.where(np.isnan(self.torques[frames, None]), np.nan, np.sqrt(np.maximum(found, 0.0))))
+
+    def wrench_covariances(self, frames: slice) -> Array:
+        """Return covariances (N, 2, 6, 6) of `wrench` by both components, N and N m."""
+        entries = self.node_covariances.reshape(len(self.nodes), 2, 36)
+        found = interpolated(self.nodes, entries, np.arange(len(self.times))[frames])
+        return np.where(np.isnan(self.wrench[frames, :1, None]), np.nan, found).reshape(-1, 2, 6, 6)
 
 
 def joint_torques(
@@ -162,6 +165,8 @@ def joint_torques(
     if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
     whole, short = _unknown(T, skeleton.nv), 0
+    nothing = (np.full((1, 2, *shape), np.nan, np.float32) for shape in ((skeleton.nv - 6,), (6, 6)))
+    at_nodes: list[tuple[NDArray[Any], ...]] = [(np.zeros(1, np.intp), *nothing)]  # where no node follows
     ends = [i for i, name in enumerate(skeleton.names) if name in _CARRY]
     placed = source.masks.known & source.masks.valid[:, [0, *ends]].all(axis=1)
     for start, stop in signals.runs(placed):
@@ -170,14 +175,14 @@ def joint_torques(
             short += 1
             continue
         step = float(np.median(np.diff(times)))
-        for frames, part in _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop]):
-            placed_at = slice(start + frames.start, start + frames.stop)
+        dynamics = _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop])
+        for frames, part, (nodes, *parts) in dynamics:
+            at_nodes.append((start + frames.start + nodes, *parts))
             for name, array in part.items():
-                whole[name][(slice(None), placed_at) if array.ndim > 2 else placed_at] = array
+                whole[name][start + frames.start : start + frames.stop] = array
         edge = max(2, round(_EDGE / step))
         for array in whole.values():
-            for frames in (slice(start, start + edge), slice(stop - edge, stop)):
-                array[(slice(None), frames) if array.ndim > 2 else frames] = np.nan
+            array[start : start + edge] = array[stop - edge : stop] = np.nan
     if short:
         notes.append(f"{short} stretch(es) shorter than {SHORTEST:g} s have no torques")
     if support is not None:
@@ -186,11 +191,12 @@ def joint_torques(
         joints = [joint for joint in skeleton.table.joints if joint.name in own]
         legs = [skeleton.dof_names.index(dof.urdf) for joint in joints for dof in joint.dofs]
         whole["torques"][np.ix_(carries == UNKNOWN, legs)] = np.nan
-        whole["sigma_parts"][np.ix_((0, 1), carries == UNKNOWN, legs)] = np.nan
         notes.append(
             f"torques of the legs in {100 * np.mean(carries != UNKNOWN):.0f} % of the frames, in which one "
             "foot bears all load; load sharing of two feet is unknown without a force plate"
         )
+    names = "nodes", "variances", "node_covariances"
+    whole |= {name: np.concatenate(parts) for name, parts in zip(names, zip(*at_nodes, strict=True), strict=True)}
     notes += _confidence_notes(whole)
     return JointTorques(
         times=source.times, dof_names=skeleton.dof_names, weight_kg=skeleton.table.mass_kg, notes=tuple(notes), **whole
@@ -202,11 +208,9 @@ _Arrays = dict[str, NDArray[Any]]  # of `JointTorques`, by its fields
 
 def _unknown(frames: int, nv: int) -> _Arrays:
     """Arrays of NaN."""
-    widths = {"torques": nv - 6, "root_wrench": 6, "unexplained": 6, "wrench": 6, "reference": 3}
-    parts = {"sigma_parts": (nv - 6,), "wrench_covariances": (6, 6)}
-    return {name: np.full((frames, width), np.nan) for name, width in widths.items()} | {
-        name: np.full((2, frames, *shape), np.nan, np.float32) for name, shape in parts.items()
-    }
+    widths = {"torques": nv - 6, "root_wrench": 6, "unexplained": 6}
+    out: _Arrays = {name: np.full((frames, width), np.nan, np.float32) for name, width in widths.items()}
+    return out | {"wrench": np.full((frames, 6), np.nan), "reference": np.full((frames, 3), np.nan)}
 
 
 def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list[str]:
@@ -235,11 +239,9 @@ def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list
 
 def _confidence_notes(found: _Arrays) -> list[str]:
     """Notes on the standard deviations."""
-    known = np.isfinite(found["torques"]).any(axis=1)
-    stated = np.isfinite(found["sigma_parts"][0]).any(axis=1)
-    if not known.any():
+    if not np.isfinite(found["torques"]).any():
         return []
-    if not stated.any():
+    if not np.isfinite(found["variances"][:, 0]).any():
         return [
             "the motion has no confidence, so the standard deviations contain only those of the masses "
             f"({100 * MASS_SIGMA:.0f} % of each segment)"
@@ -253,8 +255,8 @@ def _confidence_notes(found: _Arrays) -> list[str]:
 
 def _inverse_dynamics(
     skeleton: SkeletonModel, motion: MotionSource, rate_hz: float, carries: NDArray[np.int_]
-) -> Iterator[tuple[slice, _Arrays]]:
-    """Frames of a stretch in blocks, with their dynamics."""
+) -> Iterator[tuple[slice, _Arrays, tuple[NDArray[Any], ...]]]:
+    """Frames of a stretch in blocks, with their dynamics, and nodes by their place in the block."""
     body = BodyDynamics(skeleton)
     for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz), confidence=True):
         times, own, supports = block.motion.times, block.own, carries[block.frames]
@@ -264,12 +266,8 @@ def _inverse_dynamics(
         a = np.gradient(v, times, axis=0)
         q, v, a = q[own], v[own], a[own]
         nodes = np.union1d(np.arange(0, len(q), max(1, math.floor(EVERY * rate_hz))), [len(q) - 1])
-        stated, errors = block.motion.confidence, None
-        if stated is not None:
-            R = skeleton.forward_kinematics(q[nodes])[1]
-            errors = pose_errors(skeleton, q[nodes], stated[own.start + nodes], R)
-        parts = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], errors, rate_hz)
-        torques, wrenches = (interpolated(nodes, part, len(q)) for part in parts)
+        stated = None if block.motion.confidence is None else block.motion.confidence[own.start + nodes]
+        parts = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], stated, rate_hz)
         found = [body.at(*frame) for frame in zip(q, v, a, supports.tolist(), strict=True)]
         yield (
             block.frames,
@@ -279,7 +277,7 @@ def _inverse_dynamics(
                 "unexplained": np.array([one.left for one in found]),
                 "wrench": np.array([one.wrench for one in found]),
                 "reference": np.array([one.reference for one in found]),
-                "sigma_parts": np.sqrt(np.maximum(torques, 0.0)).astype(np.float32),
-                "wrench_covariances": wrenches.astype(np.float32),
             },
+            (nodes, *parts),
         )
+        del block  # before the next one is read

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.array_types import Array
@@ -29,7 +30,7 @@ class TrialResults:
 
     events: tuple[tuple[float, str, str], ...] = ()
     """By time: s, left or right, foot_strike or foot_off."""
-    points: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
+    points: Mapping[str, Mapping[str, NDArray[np.float32]]] = field(default_factory=dict)
     """ANGLES, FORCES, MOMENTS -> name -> three components (T, 3), deg, N and N mm; NaN where unknown."""
     parameters: tuple[tuple[str, str, str, float], ...] = ()
     """Means by side: name in Vicon's files, e.g. 'Walking Speed'; left or right; unit; value."""
@@ -38,7 +39,7 @@ class TrialResults:
     height_m: float | None = None
 
     @property
-    def flat(self) -> dict[str, Array]:
+    def flat(self) -> dict[str, NDArray[np.float32]]:
         """All points by name, (T, 3)."""
         return {name: values for own in self.points.values() for name, values in own.items()}
 

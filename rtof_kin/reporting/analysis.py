@@ -379,12 +379,15 @@ def _ranges(ranges: Sequence[RangeOfMotion], curves: Mapping[str, CurveBand]) ->
 
 def _torques(torques: JointTorques) -> tuple[Table, dict[str, Any]]:
     wrenches = [f"{kind}_{c}" for kind in ("outer", "unexplained") for c in WRENCH_COLUMNS]
-    series = (torques.torques, torques.root_wrench, torques.unexplained, *torques.sigma_parts)
     sigmas = [f"{name}_sigma_{part}_Nm" for part in ("motion", "masses") for name in torques.dof_names]
     columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches, *sigmas]
-    rows = _Series(torques.times, lambda frames: np.hstack([one[frames] for one in series]))
+
+    def values(frames: slice) -> Array:
+        whole = torques.torques, torques.root_wrench, torques.unexplained
+        return np.hstack([*(one[frames] for one in whole), *np.moveaxis(torques.sigma_parts(frames), 1, 0)])
+
     return (
-        Table(("time", *columns), rows),
+        Table(("time", *columns), _Series(torques.times, values)),
         {
             "file": "torques.csv",
             "weight_kg": torques.weight_kg,

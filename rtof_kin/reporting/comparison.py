@@ -27,6 +27,7 @@ from rtof_kin.clinical.comparison_spm import ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
@@ -181,6 +182,7 @@ def read_compared(path: str | Path) -> Compared:
     with MotionReader(file) as reader:
         mode = mode or reader.mode
         sides = clinical.compared(named.name + (f" ({mode})" if mode else ""), reader, recording)
+    return_free_memory()  # before another one is read
     return replace(sides, notes=(*sides.notes, *certified), made=made)
 
 

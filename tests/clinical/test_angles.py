@@ -362,7 +362,7 @@ def test_angles_are_selected_by_name() -> None:
     some = angles.select(["left_hip_flexion", "pelvis_tilt"])
     assert some.names == ("left_hip_flexion", "pelvis_tilt")
     np.testing.assert_array_equal(some.values[:, 0], angles["left_hip_flexion"])
-    np.testing.assert_array_equal(some.sigma, np.abs(some.values))
+    np.testing.assert_allclose(some.sigma, np.abs(some.values), rtol=1e-6)
     with pytest.raises(ValueError, match="read-only"):
         some.values[0] = 0
     with pytest.raises(UnknownNameError, match="Did you mean 'right_knee_flexion'"):

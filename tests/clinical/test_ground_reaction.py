@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -170,11 +169,9 @@ def test_bands_follow_the_wrench() -> None:
     rng = np.random.default_rng(0)
     A = rng.normal(size=(6, 6)) * np.array([5, 5, 5, 2, 2, 2])[:, None]
     C = A @ A.T
-    frames = np.tile(torques.wrench[T // 2], (4000, 1)) + rng.multivariate_normal(np.zeros(6), C, 4000)
-    reference = np.tile(torques.reference[T // 2], (4000, 1))
-    drawn = replace(torques, wrench=frames, reference=reference)
-    p, _ = _pressure(drawn, np.tile(C, (4000, 1, 1)), 0.0)
-    one = replace(torques, wrench=torques.wrench[[T // 2]], reference=torques.reference[[T // 2]])
-    _, spread = _pressure(one, C[None], 0.0)
+    wrench, reference = torques.wrench[[T // 2]], torques.reference[[T // 2]]
+    drawn = wrench + rng.multivariate_normal(np.zeros(6), C, 4000)
+    p, _ = _pressure(drawn, np.tile(reference, (4000, 1)), np.tile(C, (4000, 1, 1)), 0.0)
+    _, spread = _pressure(wrench, reference, C[None], 0.0)
     np.testing.assert_allclose(np.cov(p.T), spread[0], rtol=0.15, atol=1e-7)
     assert len(list(combinations(range(8), 3))) == 56
