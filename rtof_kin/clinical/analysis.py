@@ -117,6 +117,7 @@ def analyse(
         contacts = foot_contacts(paths, gait)
         torques = joint_torques(source, weight_kg, height, sex, contacts.support if gait.strides else None)
         reaction = ground_reaction(torques, contacts, paths)
+        return_free_memory()
     heading = angles.names.index("pelvis_rotation")
     heading_sigma = None if angles.sigma is None else angles.sigma[:, heading].astype(float)
     found = MotionAnalysis(

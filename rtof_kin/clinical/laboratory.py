@@ -7,6 +7,7 @@ internal ones about the axes of the joint's own angles; Plug-in Gait's are exter
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.ground_reaction import Contact, GroundReaction
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.formats.motion_views import AnyMotion
 from rtof_kin.formats.trial_results import TrialResults
 
@@ -52,9 +54,12 @@ def trial_results(
         mass_kg: body mass, kg; without it there are no forces and moments. sex: 'male', 'female' or None.
     """
     found = analyse(motion, weight_kg=mass_kg, sex=sex if mass_kg is not None else None)
-    points = {"ANGLES": plug_in_gait_angles(found)}
+    forces = dict[str, _Points]()
     if found.ground_reaction is not None:
-        points |= {"FORCES": _forces(found.ground_reaction), "MOMENTS": _moments(found)}
+        forces = {"FORCES": _forces(found.ground_reaction), "MOMENTS": _moments(found)}
+        found = replace(found, torques=None, ground_reaction=None)  # large, of an hour
+        return_free_memory()
+    points = {"ANGLES": plug_in_gait_angles(found)} | forces
     events = sorted(
         (float(time), side, kind)
         for side, foot in found.gait.events.feet.items()

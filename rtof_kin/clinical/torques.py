@@ -280,4 +280,4 @@ def _inverse_dynamics(
             },
             (nodes, *parts),
         )
-        del block  # before the next one is read
+        del block, stated, found  # before the next one is read

@@ -80,9 +80,7 @@ _UNKNOWN: Final = "unknown"
 
 
 def environment() -> dict[str, str]:
-    """Return versions, processor, way of evaluation and threads by name; to be called after a computation."""
-    from rtof_kin.core.numerics.c_compiler import evaluated  # slow to import
-
+    """Return versions, processor and threads by name; to be called after a computation."""
     found = {}  # linear algebra that NumPy and SciPy were built with, if they are loaded
     for name in ("numpy", "scipy"):
         if (module := sys.modules.get(name)) is not None:
@@ -98,7 +96,6 @@ def environment() -> dict[str, str]:
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
         "instructions": " ".join(f"{n}={os.environ[n]}" for n in SWITCHES if n in os.environ) or "all",
-        "energy": evaluated(),
         "threads": str(threads() or _UNKNOWN),
     }
 

@@ -15,6 +15,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Calibrate, Mode
 from rtof_kin.core.environment import threads
+from rtof_kin.core.numerics.c_compiler import evaluated
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
@@ -90,6 +91,7 @@ class Reconstruction:
     position_errors: PositionErrors | None = None  #: What is left open of positions in world; None without keypoints
     lifts: tuple[Agreement, ...] = ()  #: How the points of other models agree; of a long recording in its first part
     parts: tuple[Reconstruction, ...] = ()  #: Those that a long recording was reconstructed in
+    evaluated: str = field(default_factory=evaluated)  #: How its process evaluated the energy: compiled, or not
     stage_metrics: dict[str, Metrics] = field(default_factory=dict)
     """Errors of every stage against the recording's truth; empty without one."""
 

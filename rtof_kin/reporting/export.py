@@ -20,7 +20,7 @@ OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.format
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.angles import angle_blocks
 from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
+from rtof_kin.core.environment import environment
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.jobs import Workers
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, MeasurementsWriter, measurements_path
@@ -59,7 +60,7 @@ def export(
     overwrite: bool = False,
     formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
-    run: Callable[[], Mapping[str, Any]] | None = None,
+    run: Mapping[str, Any] | None = None,
     workers: Workers | None = None,
 ) -> ReconstructionStatistics:
     """Write a reconstruction; after an error there is no folder.
@@ -76,7 +77,7 @@ def export(
         formats: of the motion's files beside motion.h5, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
             motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
-        run: returns what the run can be repeated by, for the summary, when all parts are made.
+        run: what the run can be repeated by, for the summary, which also gets the environment.
         workers: of `workers_for`, each of which writes one format after the other.
 
     Returns:
@@ -105,9 +106,10 @@ def export(
         assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
-        contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
-        text = json.dumps(contents, indent=2)
-        (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        contents = summary(statistics)
+        if run is not None:
+            contents["run"] = {**run, "environment": environment() | {"energy": statistics.first.evaluated}}
+        (temporary / "summary.json").write_text(json.dumps(contents, indent=2) + "\n", encoding="utf-8")
         with MotionReader(temporary / MARKER) as reader, beside_of(temporary) as beside:
             write_motion_files(temporary, reader, formats, beside, workers)
         if statistics.certificate is not None and statistics.certificate.left_out:

@@ -15,7 +15,6 @@ from typing import Any
 
 from rtof_kin.calibration.result import read_self_calibration_toml
 from rtof_kin.core.choices import Mode
-from rtof_kin.core.environment import environment
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
@@ -238,7 +237,7 @@ def reconstruct_folder(
             overwrite,
             inputs=inputs,
             workers=workers,
-            run=lambda: record | {"environment": environment()},
+            run=record,
         )
     if task.update_subject and task.subject is not None:
         for sentence in update_subject(task.subject, person.news, body.name, person.doubt):
