@@ -77,9 +77,9 @@ def gentle(b: js.Built, x: Array, seed: int, rng: np.random.Generator) -> Fragme
     return replace(data, observation=observation, constant=constant)
 
 
-def compare(start: Start, limited: bool) -> tuple[Solved, Solved]:
+def compare(start: Start, limited: bool, tolerance: float = TIGHT) -> tuple[Solved, Solved]:
     """Solutions of both; they have to be one."""
-    one, two = start.ipopt(limited), start.real_time(limited)
+    one, two = start.ipopt(limited, tolerance=tolerance), start.real_time(limited)
     assert one.converged
     assert two.converged
     p, q = (start.problem.space.poses(solved.x)[0] for solved in (one, two))
@@ -91,12 +91,13 @@ def compare(start: Start, limited: bool) -> tuple[Solved, Solved]:
     return one, two
 
 
-@pytest.mark.parametrize("kind, seed", [("bare", 3), ("whole", 3)])
-def test_backends_find_the_same_minimum_and_multipliers_with_limits(kind: str, seed: int) -> None:
+# At 1e-8 rounding decides, on some processors, whether IPOPT calls the whole problem solved.
+@pytest.mark.parametrize("kind, seed, tolerance", [("bare", 3, TIGHT), ("whole", 3, 10 * TIGHT)])
+def test_backends_find_the_same_minimum_and_multipliers_with_limits(kind: str, seed: int, tolerance: float) -> None:
     start = Start(kind, seed)
     free = start.real_time(limited=False)
     assert np.abs(start.excess(free.x)).max() > np.radians(1), "there is nothing to hold"
-    ipopt, real_time = compare(start, limited=True)
+    ipopt, real_time = compare(start, True, tolerance)
     assert start.problem.total(ipopt.x) > start.problem.total(free.x)
     # Frames share out what a limit pushes, and hardly mind how.
     pushes = [solved.multipliers.sum(axis=0) for solved in (ipopt, real_time)]
