@@ -92,7 +92,7 @@ def write_static_page(
         if ELLIPSOIDS in scene.layers:
             scene.layers[ELLIPSOIDS](False)
         base, each = _sizes(server, scene, frames)
-        most = max(int((largest_mb - base) / each), 1)
+        most = max(int((largest_mb - base) / each), 0)
         if thin := len(frames) > most:
             rate *= most / len(frames)
             if rate < slowest_hz:
@@ -134,7 +134,7 @@ def notebook_page(motion: Motion, largest_mb: float = 20.0) -> NotebookPage:
 
 
 def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, float]:
-    """Return the estimated size of the page with its first frame and of each further one, MB, by some in the middle."""
+    """Return the estimated size of the page without frames and of each frame, MB, by some in its middle."""
     middle, sizes = len(frames) // 2, []
     trial = frames[max(middle - _TRIAL, 0) : middle + 1]
     for some in (trial[:1], trial):
@@ -145,7 +145,7 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
         sizes.append(len(serializer.serialize()) * 4 / 3 / 1e6)
     page = Path(optional("viser", "view").__file__).parent / "client" / "build" / "index.html"
     each = (sizes[1] - sizes[0]) / (len(trial) - 1) if len(trial) > 1 else sizes[0]
-    return page.stat().st_size / 1e6 + sizes[0], each
+    return page.stat().st_size / 1e6, each
 
 
 def _recorded(server: Any, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None) -> str:
