@@ -39,6 +39,7 @@ POSES: Final = (
 MOST_MB: Final = 700.0  #: [MB] most memory of a command and of the processes it starts, each
 FORMATS: Final = ("csv,parquet,ros", "npz", "osim,mot,sto,trc", "c3d", "bvh,bvh-lafan1", "mjcf", "glb", "rrd", "mcap")
 FILM: Final = ("--no-video", "--stop", "20", "--width", "640")
+REPLAYED: Final = ("--speed", "inf", "--seconds", "20")
 MOTION_FOLDER, RECORDING, OUTPUT = "MOTION", "RECORDING", "OUTPUT"  #: What they stand for in `COMMANDS`
 COMMANDS: Final = {
     "analyse": ("report", MOTION_FOLDER, "--weight", "70", "--analysis", OUTPUT),
@@ -46,6 +47,7 @@ COMMANDS: Final = {
     "report with torques": ("report", MOTION_FOLDER, "--weight", "70", "-o", OUTPUT),
     "inspect": ("inspect", MOTION_FOLDER),
     "inspect the recording": ("inspect", RECORDING, "--all"),
+    "live, 20 s of a replay": ("live", RECORDING, "--camera", RECORDING, "--imus", RECORDING, *REPLAYED),
     "overlay of 20 s": ("overlay", MOTION_FOLDER, "-o", f"{OUTPUT}.mp4", *FILM),
     "view --html of 5 minutes": ("view", MOTION_FOLDER, "--html", f"{OUTPUT}.html", "--stop", "300"),
     "compare the sides": ("compare", MOTION_FOLDER, "--sides", "-o", OUTPUT),

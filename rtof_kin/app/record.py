@@ -243,9 +243,8 @@ def _run(folder: Path, wish: Wish, connection: Connection, stack: ExitStack) -> 
     given = _set_up(folder.name, wish.camera, subject.height_m.value)
     take = Person.of(subject, given).informed(given).whole()
     cameras, sensors = [wish.camera] if wish.camera else [], [f"lsl:{stream}" for stream in wish.streams]
-    streams = open_sources(cameras, sensors, take, detector=_detector)
+    streams = open_sources(cameras, sensors, take, stack, detector=_detector)
     for source in streams.sources:
-        stack.callback(source.close)
         source.start()
     camera, server = streams.sources[0], WebSocketServer(take.skeleton, floor_height=take.floor_height)
     estimator: Any = SimpleNamespace(push=id, advance=lambda *_, **__: [], finish=list, dropped={}, hurried=0)

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
@@ -126,7 +127,7 @@ def live(
     from rtof_kin.live.session import LiveSession
     from rtof_kin.reconstruction.person import Person
     from rtof_kin.recording.index import INDEX
-    from rtof_kin.recording.recording import Recording
+    from rtof_kin.recording.recording import RecordingReader
     from rtof_kin.robots.retarget import Retargeter
 
     with ended_by_signals(), ExitStack() as stack:
@@ -135,21 +136,13 @@ def live(
         known = None if calibration is None else read_self_calibration_toml(calibration)
         lifter: Any = task.lifter()
         with without_warnings("rtof_kin.recording.cameras"):
-            take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
+            with RecordingReader.open(setup) as reader:
+                take = replace(reader.facts, model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
                 take = replace(take, imus=None, calibration=None)
             given, person = take, Person.of(task.person(), take)
-            take = person.informed(given).whole()
-            streams = open_sources(
-                camera or [],
-                imus or [],
-                take,
-                speed=speed,
-                names=map,
-                detector=lambda: detector_of(detector, fetch_models),
-            )
-        for source in streams.sources:
-            stack.callback(source.close)
+            take, found = person.informed(given).whole(), partial(detector_of, detector, fetch_models)
+            streams = open_sources(camera or [], imus or [], take, stack, speed=speed, names=map, detector=found)
         sinks = list(open_sinks(send or [], take))
         if mcap is not None:
             sinks.append(McapSink(mcap, take.skeleton))
@@ -190,14 +183,13 @@ def _print_recorded(folder: Path | str) -> None:
 
 def _points_of(camera: Source) -> tuple[str, ...]:
     """Start a camera and return the names of its points; those of a port come with the first frames."""
+    from rtof_kin.live.lsl import wait_until
+
     camera.start()
-    deadline = time.monotonic() + _LONGEST_WAIT
     if not camera.landmarks:
         remark(f"waiting for the points of {camera.name}")
-    while not camera.landmarks:
-        if time.monotonic() > deadline:
-            raise SourceError(f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first")
-        time.sleep(0.02)
+    if not wait_until(lambda: bool(camera.landmarks), _LONGEST_WAIT):
+        raise SourceError(f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first")
     return camera.landmarks
 
 
@@ -215,13 +207,12 @@ def _start(sources: Sequence[Source]) -> None:
 
 def _latency(camera: Source) -> float:
     """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
+    from rtof_kin.live.lsl import wait_until
     from rtof_kin.live.video import VideoSource
 
     if not isinstance(camera, VideoSource):
         return 0.0
-    deadline = time.monotonic() + _MEASURING
-    while camera.live and not math.isfinite(camera.latency_s) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: not camera.live or math.isfinite(camera.latency_s), _MEASURING)
     measured = camera.latency_s if math.isfinite(camera.latency_s) else 0.0
     return min(max(_LATENCY[0], _MARGIN * measured), _LATENCY[1])
 

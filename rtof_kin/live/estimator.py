@@ -77,7 +77,7 @@ class OnlineEstimator:
             calibration: that the refinement begins with; for one to be kept as it is, apply it to the setup.
         """
         self.settings = s = settings or OnlineSettings()
-        self.skeleton, self._landmarks = setup.skeleton, tuple(landmarks)
+        self.skeleton, self._landmarks, self._rate = setup.skeleton, tuple(landmarks), s.rate_hz
         self._camera = setup.video.camera if landmarks else None
         solver = s.solver
         if solver.floor_height is None:
@@ -119,7 +119,7 @@ class OnlineEstimator:
             self.skeleton.joint_offsets,
             floor_height,
             names=self._landmarks,
-            history_s=self.settings.frames / self.settings.rate_hz + 0.5,
+            history_s=self.settings.frames / self._rate + 0.5,
         )
 
     @property
@@ -165,18 +165,10 @@ class OnlineEstimator:
 
     # --- frames ----------------------------------------------------------------------------------
 
-    @property
-    def _rate(self) -> float:
-        return self.settings.rate_hz
-
     def _time(self, frame: int | Index) -> Array:
         """Time of frames by their numbers, s."""
         assert self._origin is not None
         return np.asarray(self._origin + np.asarray(frame) / self._rate)
-
-    @property
-    def _times(self) -> Array:
-        return self._time(self._window.first + np.arange(self._window.frames))
 
     def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
         """Estimate the frames up to a time and return those whose lag has passed, oldest first.
@@ -226,7 +218,7 @@ class OnlineEstimator:
             self._delay_s = self.settings.video_delay_s + found.delay
             self._sensors.correct(found.heading, found.R_mounting)
         window.append(window.smoother.predicted())
-        times = self._times
+        times = self._time(window.first + np.arange(window.frames))
         if self._sensors is not None:
             changed = self._sensors.clean()
             first = int(np.clip(np.ceil((changed - times[0]) * self._rate - 1), 0, window.frames - 1))

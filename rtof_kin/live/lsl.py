@@ -73,7 +73,7 @@ class LslSource(ABC):
         def named() -> list[Any]:
             return [info for info in resolver.results() if info.name() == self.stream]
 
-        if not _wait_until(lambda: bool(named()), self._timeout_s):
+        if not wait_until(lambda: bool(named()), self._timeout_s):
             others = ", ".join(sorted({info.name() for info in resolver.results()}))
             raise SourceError(
                 f"stream {self.stream}: no LSL stream has this name after {self._timeout_s:g} s; "
@@ -93,7 +93,7 @@ class LslSource(ABC):
                 f"stream {self.stream}: answers from {found.hostname()}, but no connection opens; check the firewall "
                 "there"
             ) from error
-        if _wait_until(lambda: len(named()) > 1, settled - time.monotonic()):
+        if wait_until(lambda: len(named()) > 1, settled - time.monotonic()):
             inlet.close_stream()
             each = " and ".join(f"source_id {one.source_id() or 'none'} on {one.hostname()}" for one in named())
             raise SourceError(
@@ -234,7 +234,7 @@ class LslFrameSource(LslSource):
         return [FrameSample(float(times[i]), uv[i], confidence[i]) for i in range(len(times))]
 
 
-def _wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
+def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
     """Return whether a condition holds within a time, s; it is asked at least once."""
     deadline = time.monotonic() + timeout_s
     while not holds():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -26,7 +27,7 @@ from rtof_kin.live.replay import RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, OnlineEstimate, Sink, Source
 from rtof_kin.live.video import VideoSource, is_webcam
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.robots.retarget import Retargeter
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import Detector, choose_detector
@@ -65,6 +66,7 @@ def open_sources(
     cameras: Sequence[str],
     sensors: Sequence[str],
     setup: Recording,
+    closing: ExitStack,
     *,
     speed: float = 1.0,
     names: str | Path | None = None,
@@ -74,9 +76,9 @@ def open_sources(
 
     Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of their own.
 
-    `cameras`, `sensors`: words of `CAMERAS` and `SENSORS`. `speed`: of replays, times real time; inf: without pace.
-    `names`: map of sensors, see `names_of_map`; None: they have the names of the calibration. `detector`: gives the
-    detector of a webcam's or a video's images.
+    `cameras`, `sensors`: words of `CAMERAS` and `SENSORS`. `closing`: closes them and the recordings that they read.
+    `speed`: of replays, times real time; inf: without pace. `names`: map of sensors, see `names_of_map`; None: they
+    have the names of the calibration. `detector`: gives the detector of a webcam's or a video's images.
 
     Raises:
         SourceError: nothing is named, or twice; more than one camera; no such file; a speed for what is live.
@@ -98,7 +100,7 @@ def open_sources(
     now: Callable[[], float] = time.monotonic
     if any(map(_is_lsl, words)):
         now = load_pylsl().local_clock
-    recording = cache(Recording.load)
+    recording = cache(lambda path: closing.enter_context(RecordingReader.open(path)))
     how: dict[str, Any] = {"replay": replay, "clock": clock}
     sources = [_camera(word, setup, recording, detector, now, **how) for word in cameras]
     for word in sensors:
@@ -111,6 +113,8 @@ def open_sources(
             sources.append(RecordingReplay.of_recording(recording(path), video=False, renamed=renamed, **how))
         else:
             sources.append(RecordingReplay.of_sensor_file(path, renamed=renamed, **how))
+    for source in sources:
+        closing.callback(source.close)
     own = tuple(source for word, source in zip(words, sources, strict=True) if _is_live(word))
     return Streams(tuple(sources), replay, own)
 
@@ -158,12 +162,12 @@ def _is_live(word: str) -> bool:
 def _camera(
     word: str,
     setup: Recording,
-    recording: Callable[[Path], Recording],
+    recording: Callable[[Path], RecordingReader],
     detector: Callable[[], Detector],
     now: Callable[[], float],
     **how: Any,
 ) -> Source:
-    """Return the source of a camera's points. `recording`: loads one. `how`: its replays' clocks."""
+    """Return the source of a camera's points. `recording`: opens one. `how`: its replays' clocks."""
     if setup.keypoints is None:
         raise SourceError(
             f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin run "
@@ -177,7 +181,7 @@ def _camera(
         if not (path / INDEX).is_file():
             raise SourceError(f"camera {word}: a folder without {INDEX}; give {CAMERAS}")
         replayed = recording(path)
-        own = replayed.keypoints.camera if replayed.keypoints is not None else camera
+        own = camera if (video := replayed.facts.keypoints) is None else video.camera
         if (own.width_px, own.height_px) != size:
             raise SourceError(
                 f"camera {word}: its images have {own.width_px} x {own.height_px} px, those of the setup "

@@ -10,22 +10,25 @@ import threading
 import time as system
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError, UnknownNameError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.imu_stream import SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
 from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import RecordingSource
+from rtof_kin.recording.streams import BLOCK, Part, Stream
 from rtof_kin.vision.keypoints import read_detector_keypoints
 
 _STEP: Final = 1 / 60
@@ -152,46 +155,42 @@ class _Track:
 
     name: str  #: Sensor, or `VIDEO`
     times: Array  #: (T,) s
-    here: NDArray[np.bool_]  #: (T,) whether a row holds a sample
+    here: Mask  #: (T,) whether a row holds a sample
     sample: Callable[[int], Sample]  #: Of a row
     delay_s: float = 0.0  #: By how much its samples arrive late, s
 
 
 class RecordingReplay:
-    """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
+    """Source of the frames, the sensors or both of a recording, of which it reads blocks, or of the sensors of a file.
 
-    `streams`: sensors with orientation, at their own times on one clock. `renamed`: name of a sensor in the
-    calibration, by its own. `UnknownNameError`: a fault of an unknown sensor.
+    `UnknownNameError`: a fault of an unknown sensor.
     """
 
     def __init__(
         self,
         name: str,
-        streams: Sequence[SensorStream] = (),
-        keypoints: KeypointSequence | None = None,
-        replay: ReplayClock | None = None,
-        clock: Clock = Clock.COMMON,
+        sensors: Sequence[_Track],
+        keypoints: Stream[KeypointSequence] | None,
+        replay: ReplayClock | None,
+        clock: Clock,
         faults: Faults = _NO_FAULTS,
-        renamed: Callable[[str], str] = str,
     ):
         self.name, self.clock, self._replay = name, clock, replay or ReplayClock()
-        self.sensors = tuple(renamed(stream.name) for stream in streams)
+        self.sensors = tuple(track.name for track in sensors)
         """Names of the sensors."""
-        self.landmarks: tuple[str, ...] = () if keypoints is None else keypoints.names
+        self.landmarks: tuple[str, ...] = () if keypoints is None else keypoints.part(slice(0, 1)).names
         """Names of the points of a frame."""
-        self._tracks = [_sensor(stream, own) for stream, own in zip(streams, self.sensors, strict=True)]
-        self._tracks += [] if keypoints is None else [_video(keypoints, faults)]
+        self._tracks = [*sensors, *([] if keypoints is None else [_video(keypoints, faults)])]
         names = [track.name for track in self._tracks]
         if unknown := [who for who, _, _ in faults.dead if who not in names]:
             raise UnknownNameError("sensor of the faults", unknown, names)
         self._arrival, self._track, self._row = self._arrivals(faults)
-        self._notices = list[str]()
-        self._next, self._closed = 0, False
+        self._notices, self._next, self._closed = list[str](), 0, False
 
     @classmethod
     def of_recording(
         cls,
-        recording: Recording,
+        recording: RecordingSource,
         replay: ReplayClock | None = None,
         *,
         video: bool = True,
@@ -200,17 +199,18 @@ class RecordingReplay:
         faults: Faults = _NO_FAULTS,
         renamed: Callable[[str], str] = str,
     ) -> Self:
-        """Replay a recording. `SourceError`: it has none of them."""
-        keypoints = recording.keypoints if video else None
-        imus = recording.imus if sensors else None
+        """Replay a recording; a reader stays open until the end. `renamed`: name of a sensor in the calibration, by its
+        own. `SourceError`: it has none of them.
+        """
+        keypoints = recording.streams.keypoints if video else None
+        imus = recording.streams.imus if sensors else None
         if keypoints is None and imus is None:
             lacking = "keypoints" if video else "samples of sensors"
             raise SourceError(f"recording {recording.name}: has no {lacking} to replay")
         parts = [VIDEO] * (keypoints is not None) + ["sensors"] * (imus is not None)
-        streams = () if imus is None else SensorLog.of_imus(imus, recording.name).streams
         name = f"{recording.name} ({' and '.join(parts)})"
-        own = cls(name, streams, keypoints, replay, clock, faults, renamed)
-        if video and recording.views:
+        own = cls(name, [] if imus is None else _sensors(imus, renamed), keypoints, replay, clock, faults)
+        if video and recording.streams.views:
             own._notices.append(f"{name}: only its first camera is replayed")
         return own
 
@@ -232,7 +232,8 @@ class RecordingReplay:
             log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(f"{Path(path).name} (sensors)", log.streams, None, replay, clock, renamed=renamed)
+        tracks = [_sensor(stream, renamed(stream.name)) for stream in log.streams]
+        own = cls(f"{Path(path).name} (sensors)", tracks, None, replay, clock)
         remarks: dict[str, list[str]] = {note: [] for note in log.file_notes}
         for stream in log.streams:
             for note in stream.notes:
@@ -253,7 +254,7 @@ class RecordingReplay:
             found = read_detector_keypoints(path, camera)
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(f"{Path(path).name} ({VIDEO})", (), found.keypoints, replay, clock)
+        own = cls(f"{Path(path).name} ({VIDEO})", [], Stream.of(found.keypoints), replay, clock)
         own._notices.append(f"{own.name}: {found.summary}")
         return own
 
@@ -308,17 +309,41 @@ def _sensor(stream: SensorStream, name: str) -> _Track:
     times, R, f = stream.times, stream.R_inertial_sensor, stream.f_sensor
     assert R is not None
     f = np.full((len(times), 3), np.nan) if f is None else f
-    here = np.asarray(np.isfinite(R).all(axis=(1, 2)) | np.isfinite(f).all(axis=1))
-    return _Track(name, times, here, lambda row: ImuSample(name, float(times[row]), R[row], f[row]))
+    return _Track(name, times, _known(R, f), lambda row: ImuSample(name, float(times[row]), R[row], f[row]))
 
 
-def _video(frames: KeypointSequence, faults: Faults) -> _Track:
-    delay, frozen = faults.video_delay_s, faults.frozen
+def _sensors(imus: Stream[ImuSequence], renamed: Callable[[str], str]) -> list[_Track]:
+    times, at = imus.times, _reading(imus)
+    here = np.concatenate([_known(part.R_inertial_sensor, part.f_sensor) for part in imus.blocks()])
+
+    def track(s: int, name: str) -> _Track:
+        def sample(row: int) -> ImuSample:
+            part, i = at(row)
+            return ImuSample(name, float(times[row]), part.R_inertial_sensor[i, s], part.f_sensor[i, s])
+
+        return _Track(name, times, here[:, s], sample)
+
+    return [track(s, renamed(name)) for s, name in enumerate(imus.part(slice(0, 1)).names)]
+
+
+def _known(R: Array, f: Array) -> Mask:
+    """Return where an orientation (..., 3, 3) or a specific force (..., 3) is known."""
+    return np.asarray(np.isfinite(R).all(axis=(-2, -1)) | np.isfinite(f).all(axis=-1))
+
+
+def _video(frames: Stream[KeypointSequence], faults: Faults) -> _Track:
+    delay, frozen, at = faults.video_delay_s, faults.frozen, _reading(frames)
     still = 0 if frozen is None else max(int(np.searchsorted(frames.times, frozen[0])) - 1, 0)
 
     def sample(row: int) -> Sample:
         time = float(frames.times[row])
-        seen = still if frozen is not None and frozen[0] <= time < frozen[1] else row
-        return FrameSample(time + delay, frames.uv_px[seen], frames.confidence[seen])
+        part, i = at(still if frozen is not None and frozen[0] <= time < frozen[1] else row)
+        return FrameSample(time + delay, part.uv_px[i], part.confidence[i])
 
     return _Track(VIDEO, frames.times, np.ones(len(frames), dtype=np.bool_), sample, delay)
+
+
+def _reading(stream: Stream[Part]) -> Callable[[int], tuple[Part, int]]:
+    """Return what reads the block of a row, and gives where the row is in it; late samples are of the block before."""
+    block = lru_cache(2)(lambda start: stream.part(slice(start, min(start + BLOCK, len(stream)))))
+    return lambda row: (block(row - row % BLOCK), row % BLOCK)

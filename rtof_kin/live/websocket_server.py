@@ -239,7 +239,8 @@ class WebSocketServer:
         self._told = 0
         self._lock = threading.Lock()
         self._waiting: OnlineEstimate | None = None
-        self._dropped = 0
+        self.dropped = 0
+        """Number of estimates not sent because a client read too slowly, summed over clients."""
         self._door, self._socket = Door(), listening(port)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         self._root = f"http://{LOOPBACK}:{self._socket.getsockname()[1]}"
@@ -262,11 +263,6 @@ class WebSocketServer:
         """Number of connected clients."""
         return len(self._clients)
 
-    @property
-    def dropped(self) -> int:
-        """Number of estimates not sent because a client read too slowly, summed over clients."""
-        return self._dropped
-
     def send(self, estimate: OnlineEstimate) -> None:
         """Send an estimate to all clients; without clients nothing is done. `UnknownNameError`, `InvalidInputError`:
         its joints are not those of the skeleton.
@@ -279,7 +275,7 @@ class WebSocketServer:
         if replaced is None:
             self._call(self._put_estimate)
         else:
-            self._dropped += self.clients
+            self.dropped += self.clients
 
     def tell(self, sentence: str) -> None:
         """Send a message to all clients, and to those that connect later."""
@@ -349,7 +345,7 @@ class WebSocketServer:
             estimate, self._waiting = self._waiting, None
         if estimate is not None:
             text = _text(self._states.message(estimate))
-            self._dropped += sum(client.put("estimate", text) for client in self._clients)
+            self.dropped += sum(client.put("estimate", text) for client in self._clients)
 
     def _put(self, kind: str, text: str) -> None:
         self._kept.pop(kind, None)

@@ -174,17 +174,14 @@ class CameraLayer:
         self.label = scene.add_label(f"{name}/label", label, anchor="bottom-center")
         self.image: Any = None
         self._server, self._name, self._image_visible = server, name, True
-        self._show_pose(view.camera.R_camera_world.T)
+        self.R_world_camera: Array = view.camera.R_camera_world.T
+        """(3, 3) orientation that is shown."""
+        self._show_pose(self.R_world_camera)
 
     @property
     def vertical_view(self) -> float:
         """Vertical angle of view, rad."""
         return 2 * float(np.arctan(self.camera.height_px / 2 / self.camera.K[1, 1]))
-
-    @property
-    def R_world_camera(self) -> Array:
-        """(3, 3) orientation that is shown."""
-        return self._R
 
     def show(self, block: CameraBlock, i: int, depth: float = DEPTH) -> None:
         """Show one frame. `depth`: of the image before the camera, m."""
@@ -237,8 +234,8 @@ class CameraLayer:
     def _show_pose(self, R_world_camera: Array) -> None:
         """Turn all parts; with an unknown orientation the camera keeps its last one."""
         if np.isfinite(R_world_camera).all():
-            self._R = R_world_camera
-        quat, depth = so3.to_quat_wxyz(self._R), self._depth
+            self.R_world_camera = R_world_camera
+        quat, depth = so3.to_quat_wxyz(self.R_world_camera), self._depth
         for handle in (self.edges, *self.points.values()):
             handle.wxyz, handle.position = quat, self.center
             handle.scale = depth
@@ -249,5 +246,5 @@ class CameraLayer:
     def _image_pose(self) -> tuple[Array, Array, float]:
         """Return orientation, position and scale of the image, just behind the points."""
         middle = np.mean(self._corners(), axis=0)
-        position = self.center + _BEHIND * self._depth * self._R @ middle
-        return so3.to_quat_wxyz(self._R), position, self._depth
+        position = self.center + _BEHIND * self._depth * self.R_world_camera @ middle
+        return so3.to_quat_wxyz(self.R_world_camera), position, self._depth

@@ -26,14 +26,10 @@ class Playback:
         """Pause at the start. `start`, `stop`: times of the first and the last frame, s."""
         self.start, self.stop = start, stop
         self.repeat = True
-        self._lock = threading.Lock()
-        self._speed, self._playing = 1.0, False
-        self._time, self._since = start, 0.0
-
-    @property
-    def playing(self) -> bool:
+        self.playing = False
         """Whether the time moves on."""
-        return self._playing
+        self._lock, self._speed = threading.Lock(), 1.0
+        self._time, self._since = start, 0.0
 
     def at(self, now: float) -> float:
         """Return the time to show, s; playing ends at the last frame, or begins again.
@@ -41,12 +37,12 @@ class Playback:
         `now`: of a monotonic clock, s.
         """
         with self._lock:
-            if not self._playing:
+            if not self.playing:
                 return self._time
             time = self._time + (now - self._since) * self._speed
             if time > self.stop:
                 self._time, self._since = (self.start if self.repeat else self.stop), now
-                self._playing = self.repeat and self.stop > self.start
+                self.playing = self.repeat and self.stop > self.start
                 return self._time
             return time
 
@@ -56,7 +52,7 @@ class Playback:
         with self._lock:
             if playing and time >= self.stop:
                 time = self.start
-            self._time, self._since, self._playing = time, now, playing
+            self._time, self._since, self.playing = time, now, playing
 
     def seek(self, time: float, now: float) -> None:
         """Go to a time, without pausing. `time`: s; limited to those of the motion. `now`: of the clock, s."""

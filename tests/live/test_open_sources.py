@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +22,20 @@ from rtof_kin.live.samples import Clock
 from rtof_kin.live.video import VideoSource
 
 DEMO = str(model_path("demo"))
+CLOSING = ExitStack()
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Closes what a test opened."""
+    with CLOSING:
+        yield
 
 
 def opened(cameras: list[str], sensors: list[str], **how: Any) -> Any:
+    setup = how.pop("setup", demo())
     return open_sources(
-        cameras, sensors, how.pop("setup", demo()), detector=lambda: pytest.fail("a detector is asked for"), **how
+        cameras, sensors, setup, CLOSING, detector=lambda: pytest.fail("a detector is asked for"), **how
     )
 
 

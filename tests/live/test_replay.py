@@ -14,7 +14,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample, Source
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import Recording, RecordingReader, RecordingSource
 
 INF = float("inf")
 
@@ -97,6 +97,27 @@ def test_missing_samples_are_left_out() -> None:
     missing = set(own.imus.times[10:20])
     assert not missing & {s.time for s in of_sensor(samples, own.imus.names[0])}
     assert missing <= {s.time for s in of_sensor(samples, own.imus.names[1])}
+
+
+def test_a_folder_is_replayed_by_blocks_as_if_it_were_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    def told(samples: list[Sample]) -> list[object]:
+        return [
+            (s.time, s.uv_px.tobytes(), s.confidence.tobytes())
+            if isinstance(s, FrameSample)
+            else (s.sensor, s.time, s.R_inertial_sensor.tobytes(), s.f_sensor.tobytes())
+            for s in samples
+        ]
+
+    def replayed_of(source: RecordingSource) -> list[object]:
+        faults = Faults(loss=0.1, jitter_s=0.1, frozen=(4.0, 9.0), seed=2)
+        replay = RecordingReplay.of_recording(source, ReplayClock(INF), faults=faults)
+        replay.start()
+        return told(drained(replay)[0])
+
+    whole = replayed_of(Recording.load(model_path("demo")))
+    monkeypatch.setattr("rtof_kin.live.replay.BLOCK", 100)
+    with RecordingReader.open(model_path("demo")) as reader:
+        assert replayed_of(reader) == whole
 
 
 def test_two_replays_stay_together_however_fast_they_are_read() -> None:
