@@ -47,10 +47,9 @@ class CartesianScene:
         return Fragment(first, self.start.p_world_joint[index].reshape(self.frames, -1), values)
 
     def score(self, fragment: Fragment, x: Array, multipliers: Array | None = None) -> Score:
-        """Score by `FragmentProblem.energy` and `gradient`."""
-        p, x = self.problem.pack(fragment.data), x.ravel()
-        energy = float(np.sum(np.asarray(self.problem.energy(x, p))))
-        return Score(energy, float(np.abs(np.asarray(self.problem.gradient(x, p))).max()), 0.0)
+        """Score by `FragmentProblem.value`."""
+        energy, gradient = self.problem.value(x.ravel()[self.problem.order], self.problem.pack(fragment.data))
+        return Score(float(np.sum(np.asarray(energy))), float(np.abs(np.asarray(gradient)).max()), 0.0)
 
     def positions(self, x: Array) -> Array:
         """(N, J, 3) m."""

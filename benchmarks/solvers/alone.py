@@ -30,8 +30,10 @@ SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {
     "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
     "joint space, sigma given": JOINT_SETTINGS,
     "joint space, without limits": JointSpaceSettings(limits=False),
-    "cartesian, energy as printed, IPOPT": CartesianSettings.paper(),
-    "cartesian, IPOPT": CartesianSettings(),
+    "cartesian, energy as printed": CartesianSettings.paper(),
+    "cartesian, energy as printed, IPOPT": replace(CartesianSettings.paper(), ipopt=True),
+    "cartesian": CartesianSettings(),
+    "cartesian, IPOPT": CartesianSettings(ipopt=True),
 }
 
 
@@ -74,7 +76,8 @@ def by_length(material: Material, effort: Effort, notify: Notify) -> list[dict[s
         length = max(effort.frames, 2 * frames)
         m = material[:length]
         solvers: dict[str, CartesianSettings | JointSpaceSettings] = {
-            "cartesian, IPOPT": CartesianSettings.paper(),
+            "cartesian": CartesianSettings.paper(),
+            "cartesian, IPOPT": replace(CartesianSettings.paper(), ipopt=True),
             "joint, real time": JointSpaceSettings(),
         }
         for name, settings in solvers.items():

@@ -36,7 +36,7 @@ JOINT_SETTINGS = JointSpaceSettings(sigma_reprojection=8.0)
 
 
 class Cartesian:
-    """The package's Cartesian solver by IPOPT."""
+    """The package's Cartesian solver, its own or IPOPT."""
 
     def __init__(self, scene: CartesianScene, settings: CartesianSettings) -> None:
         """Build the same problem with other settings of the solver alone."""
@@ -95,15 +95,17 @@ def cartesian(material: Material, effort: Effort, notify: Notify) -> dict[str, A
     scene = CartesianScene(material, N, CartesianSettings.paper())
     choice = Choice.of(scene, effort, len(material.start))
     entries = peers(scene, effort, scipy_is_slow=False)
-    entries.append(Entry("IPOPT", Cartesian(scene, scene.settings)))
+    own = {"IPOPT": replace(scene.settings, ipopt=True), "real time": scene.settings}
+    entries += [Entry(name, Cartesian(scene, settings)) for name, settings in own.items()]
     rows, traces = compared(scene, entries, choice, notify)
     fragment = scene.fragment(choice.typical)
-    notify("IPOPT: energy against time")
+    for name, settings in own.items():
+        notify(f"{name}: energy against time")
 
-    def capped(iterations: int) -> Cartesian:
-        return Cartesian(scene, replace(scene.settings, max_iterations=iterations))
+        def capped(iterations: int, settings: CartesianSettings = settings) -> Cartesian:
+            return Cartesian(scene, replace(settings, max_iterations=iterations))
 
-    traces["IPOPT"] = rising(capped, fragment, range(1, 9), effort.runs)
+        traces[name] = rising(capped, fragment, range(1, 9), effort.runs)
     return {
         "rows": summaries(rows, N // 2),
         "curves": {name: curve(scene, fragment, trace) for name, trace in traces.items()},

@@ -138,7 +138,11 @@ class CartesianSettings:
     sigma_prior_bone: float = 0.04  #: [m] of a bone vector
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.initial_poses.refit_root`)."""
-    tolerance: float = 1e-6  #: IPOPT's tolerance on the scaled gradient
+    ipopt: bool = False
+    """Whether IPOPT solves the fragments, as in the paper: the same minima in several times the time."""
+    tolerance: float = 1e-6
+    """Of the gradient, IPOPT's; a thousandth of it is the relative decrease of the energy below which the package's own
+    solver has solved a fragment."""
     max_iterations: int = 60
 
     def __post_init__(self) -> None:

@@ -67,6 +67,28 @@ def test_errors_decrease_from_lifter_to_sf2_to_optimum(scene: Scene, solution: F
     assert absolute[0] < 0.5 * absolute[1]
 
 
+@pytest.mark.parametrize("settings", [CartesianSettings.paper(), PLAIN])
+def test_ipopt_finds_the_same_minima(scene: Scene, settings: CartesianSettings) -> None:
+    own, peer = (
+        body(replace(settings, ipopt=ipopt)).solve(scene.start, scene.seen, scene.imus) for ipopt in (False, True)
+    )
+    assert own.count(SolverStatus.CONVERGED) == peer.count(SolverStatus.CONVERGED) == len(own.fragments)
+    for a, b in zip(own.fragments, peer.fragments, strict=True):
+        assert sum(a.energy.values()) == pytest.approx(sum(b.energy.values()), rel=1e-7)
+        assert a.optimality < 1e-3
+        assert b.optimality < 1e-6
+    np.testing.assert_allclose(own.poses.p_world_joint, peer.poses.p_world_joint, atol=3e-4)
+
+
+def test_uncoupled_joints_make_a_narrow_band() -> None:
+    def band(settings: CartesianSettings) -> int:
+        rows, columns = body(settings)._solver._problem.entries  # type: ignore[union-attr]
+        return int(np.max(rows - columns))
+
+    assert band(DEFAULT) == 3 * 3 * len(BODY.names)
+    assert band(CartesianSettings.paper()) < band(DEFAULT) / 2
+
+
 @pytest.mark.parametrize("sigma_px", [3.0, 7.0])
 def test_estimated_sigma_is_twice_the_reprojection_error(sigma_px: float) -> None:
     truth = planted.moving(BODY, 32)
@@ -142,11 +164,12 @@ def test_orientations_follow_positions_and_sensors(scene: Scene, solution: Fragm
 
 
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_failed_fragment_returns_the_initial_poses() -> None:
+@pytest.mark.parametrize("ipopt", [False, True])
+def test_failed_fragment_returns_the_initial_poses(ipopt: bool) -> None:
     s = Scene(SMALL, 8)
     uv = np.array(s.seen.uv_px)
     uv[6] = 1e200  # its square is not a number any more
-    plain = replace(PLAIN, huber_reprojection=None)
+    plain = replace(PLAIN, huber_reprojection=None, ipopt=ipopt)
     solver = FragmentSolver(SMALL, 8, plain, SMALL_SENSORS)
     solution = solver.solve(s.start, replace(s.seen, uv_px=uv), s.imus)
     assert [f.status for f in solution.fragments] == [SolverStatus.CONVERGED, SolverStatus.FAILED, SolverStatus.FAILED]

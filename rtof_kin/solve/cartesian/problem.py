@@ -12,14 +12,15 @@ the printed energy (see `CartesianSettings`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from rtof_kin.body.kinematics import children_of
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.packages import casadi as ca
 from rtof_kin.solve import terms as energies
@@ -34,11 +35,11 @@ TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
 
 @dataclass(frozen=True)
 class _Term:
-    """Whitened residuals of one term with the weight of each in the mean."""
+    """Residuals of one term with the weight of each in the mean, over its variance."""
 
     residual: Any  #: (n,) SX
     weight: Any  #: (n,) SX, 0 without observation
-    robust: float | None = None  #: Pseudo-Huber threshold of residuals taken in groups
+    robust: float | None = None  #: Pseudo-Huber threshold of whitened residuals taken in groups
     group: int = 2  #: Residuals of a group
     exact: bool = False
     """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to the image
@@ -50,9 +51,10 @@ class FragmentProblem:
 
     Attributes:
         parameters: name -> shape of each parameter, in order.
-        solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted). gradient: (x, p)
-        -> dE/dx.
         terms: name -> residuals.
+        order: (3JN,) unknowns x are X.ravel()[order]: joints that no term couples apart, for a narrow band.
+        value: (x, p) -> energy of each term (weighted), and the gradient dE/dx.
+        hessian: (x, p) -> its lower part, whose rows and columns are `entries` (2, n).
     """
 
     def __init__(
@@ -109,29 +111,31 @@ class FragmentProblem:
 
     def _terms(self) -> dict[str, _Term]:
         P, s, J, N = self.parameters, self.settings, len(self.parents), self.frames
-        points = ca.reshape(self.X, 3, J * N)
-        camera = P["R_camera_world"] @ points + ca.repmat(P["t_camera_world"], 1, J * N)
-        visual = energies.reprojection(camera, P["uv_px"], P["K"]) / P["sigma_reprojection"]
+        rate, projection = P["rate_hz"], P["K"] @ ca.horzcat(P["R_camera_world"], P["t_camera_world"])
+        points = ca.vertcat(ca.reshape(self.X, 3, J * N), ca.SX.ones(1, J * N))
+        seen = energies.reprojection(projection @ points, P["uv_px"], ca.SX.eye(3))
         accelerations, bones = [], []
         for k, (joint, child) in enumerate(self.sensor_bones):
             share = P["shares"][k]
             sensor = (1 - share) * self._joint(joint) + share * self._joint(child)
             rows = slice(3 * k, 3 * k + 3)
-            accelerations.append(energies.acceleration(sensor, P["a_world"][rows, :], P["rate_hz"]))
+            accelerations.append(energies.acceleration(sensor, P["a_world"][rows, :] / rate**2, 1))
             bones.append(energies.bone_vector(self._joint(joint), self._joint(child), P["b_world"][rows, :]))
-        target = P["j_world"] if s.as_printed else 0
-        smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
+        target = P["j_world"] / rate**3 if s.as_printed else 0
+        w_smooth = P["w_smooth"].T * (rate**3 / s.sigma_jerk) ** 2
         lengths = [
             energies.distance(self._joint(a), self._joint(b), P["lengths"][i]) for i, (a, b) in enumerate(self.pairs)
         ]
-        length = ca.vertcat(*lengths) / s.sigma_length
+        w_length = P["w_length"].T / s.sigma_length**2
         return {
-            "visual": _Term(ca.vec(visual), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection),
-            "acceleration": _spread(accelerations, P["w_acceleration"], s.sigma_acceleration),
-            "bone": _spread(bones, P["w_bone"], s.sigma_bone),
-            "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
-            "length": _Term(ca.vec(length), ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)), exact=True),
-            "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
+            "visual": _Term(
+                ca.vec(seen / P["sigma_reprojection"]), ca.vec(ca.repmat(P["w_visual"].T, 2, 1)), s.huber_reprojection
+            ),
+            "acceleration": _spread(accelerations, P["w_acceleration"] * (rate**2 / s.sigma_acceleration) ** 2),
+            "bone": _spread(bones, P["w_bone"] / s.sigma_bone**2),
+            "smooth": _Term(ca.vec(energies.jerk(self.X, target, 1)), ca.vec(ca.repmat(w_smooth, 3 * J, 1))),
+            "length": _Term(ca.vec(ca.vertcat(*lengths)), ca.vec(ca.repmat(w_length, len(lengths), 1)), exact=True),
+            "prior": self._prior(),
             **{term.name: self._point_term(joints, term) for joints, term in self.points},
         }
 
@@ -145,19 +149,18 @@ class FragmentProblem:
         stacked, count = ca.vertcat(*residuals), 3 * len(self.parents) * self.frames
         return _Term(stacked, ca.SX.ones(stacked.numel()) / count, term.robust, residuals[0].numel())
 
-    def _prior(self) -> Any:
-        """Root and bone vectors (or every position) minus those of the start, whitened (3J, N)."""
-        start, s = self.parameters["p_prior"], self.settings
-        if s.as_printed:
-            return energies.position(self.X, start) / s.sigma_prior
-        rows = [energies.position(self.X[:3, :], start[:3, :]) / s.sigma_prior]
-        for child, parent in enumerate(self.parents):
-            if parent >= 0:
+    def _prior(self) -> _Term:
+        """Root and bone vectors (or every position) minus those of the start."""
+        start, s, joints = self.parameters["p_prior"], self.settings, len(self.parents)
+        rows, precision = [energies.position(self.X, start)], np.full(joints, s.sigma_prior**-2)
+        if not s.as_printed:
+            rows = [energies.position(self.X[:3, :], start[:3, :])]
+            precision[1:] = s.sigma_prior_bone**-2
+            for child, parent in enumerate(self.parents[1:], start=1):
                 a, b = slice(3 * parent, 3 * parent + 3), slice(3 * child, 3 * child + 3)
-                observed = start[b, :] - start[a, :]
-                bone = energies.bone_vector(self.X[a, :], self.X[b, :], observed)
-                rows.append(bone / s.sigma_prior_bone)
-        return ca.vertcat(*rows)
+                rows.append(energies.bone_vector(self.X[a, :], self.X[b, :], start[b, :] - start[a, :]))
+        weight = np.tile(np.repeat(precision, 3), self.frames) / (3 * joints * self.frames)
+        return _Term(ca.vec(ca.vertcat(*rows)), ca.SX(weight))
 
     def _build(self) -> None:
         x, p = ca.vec(self.X), ca.vertcat(*(ca.vec(v) for v in self.parameters.values()))
@@ -175,12 +178,20 @@ class FragmentProblem:
                 continue
             J_r = ca.jacobian(term.residual, x)
             hessian += 2 * k * ca.mtimes(J_r.T, ca.diag(curvature) @ J_r)
-        energy = sum(values)
-        gradient = ca.gradient(energy, x)
-        self.energy = ca.Function("energy", [x, p], [ca.vertcat(*values)], ["x", "p"], ["terms"])
-        self.gradient = ca.Function("gradient", [x, p], [gradient], ["x", "p"], ["gradient"])
+        coupled = connected_components(ca.DM(hessian.sparsity(), 1).sparse(), directed=False)[1]
+        self.order: Index = np.argsort(coupled, kind="stable")
+        gradient, x = ca.gradient(sum(values), x)[self.order], x[self.order]
+        self.value = ca.Function("value", [x, p], [ca.vertcat(*values), gradient], ["x", "p"], ["terms", "gradient"])
+        lower = ca.tril(hessian[self.order, self.order])
+        self.entries: Index = np.array(lower.sparsity().get_triplet())
+        self.hessian = ca.Function("hessian", [x, p], [lower], ["x", "p"], ["hessian"])
+
+    @cached_property
+    def ipopt(self) -> Any:
+        """(x0, p) -> x, by IPOPT."""
+        x, p = self.value.sx_in()
         names, lam_f, lam_g = ["x", "p", "lam_f", "lam_g"], ca.SX.sym("lam_f"), ca.SX.sym("lam_g", 0)
-        upper = [ca.triu(lam_f * hessian)]
+        upper = [lam_f * self.hessian(x, p).T]
         hess_lag = ca.Function("hess_lag", [x, p, lam_f, lam_g], upper, names, ["triu_hess_gamma_x_x"])
         of_ipopt: dict[str, Any] = {
             "print_level": 0,
@@ -194,8 +205,8 @@ class FragmentProblem:
             "nlp_scaling_method": "none",
         }
         quiet = dict.fromkeys(("print_time", "show_eval_warnings", "error_on_fail", "calc_lam_p", "calc_lam_x"), False)
-        programme = {"x": x, "p": p, "f": energy}
-        self.solver = ca.nlpsol("fragment", "ipopt", programme, {"hess_lag": hess_lag, "ipopt": of_ipopt, **quiet})
+        programme = {"x": x, "p": p, "f": ca.sum1(self.value(x, p)[0])}
+        return ca.nlpsol("fragment", "ipopt", programme, {"hess_lag": hess_lag, "ipopt": of_ipopt, **quiet})
 
 
 def fragment_problem(
@@ -218,12 +229,11 @@ def rigid_pairs(parents: tuple[int, ...]) -> Bones:
     return tuple(pairs)
 
 
-def _spread(residuals: list[Any], weights: Any, sigma: float) -> _Term:
+def _spread(residuals: list[Any], weights: Any) -> _Term:
     """Term of residuals (3, n) for each sensor, with weights (B, n) for all three components."""
     if not residuals:
         return _Term(ca.SX(0, 1), ca.SX(0, 1))
-    stacked = ca.vertcat(*residuals) / sigma
-    return _Term(ca.vec(stacked), ca.vec(ca.kron(weights, ca.SX.ones(3, 1))))
+    return _Term(ca.vec(ca.vertcat(*residuals)), ca.vec(ca.kron(weights, ca.SX.ones(3, 1))))
 
 
 def _energy_and_curvature(term: _Term) -> tuple[Any, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 from typing import Final
@@ -15,23 +16,88 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.banded import Store
 from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
+from rtof_kin.core.numerics.levenberg_marquardt import Factor, LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import ContactPoints
-from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
+from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, fragment_problem
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings, InitialGuess
 from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.solve.terms import PointData, PointTerm, check_observed, observed_rows
 
 _NORMAL_MEDIAN: Final = 1.177  #: Median norm of a normal error in two dimensions, in standard deviations of an axis
+_DECREASE: Final = 1e-3  #: Relative decrease of the energy at which a fragment is solved, by tolerance of the gradient
 _STATUS: Final = {
     "Solve_Succeeded": SolverStatus.CONVERGED,
     "Solved_To_Acceptable_Level": SolverStatus.ACCEPTABLE,
     "Maximum_Iterations_Exceeded": SolverStatus.ITERATION_LIMIT,
 }
+
+
+class _Fragment:
+    """The energy of one fragment by its positions x (n,) in the order of its problem, with a banded Hessian, for
+    `LevenbergMarquardt`. Values are kept for the array `x` itself.
+    """
+
+    def __init__(self, problem: FragmentProblem) -> None:
+        self._problem, self._value, self._hessian = problem, Buffered(problem.value), Buffered(problem.hessian)
+        rows, columns = problem.entries
+        self._matrix = Store(len(problem.order), int(np.max(rows - columns)))
+        self._places = rows + columns * self._matrix.step
+        self._p, self._known = np.zeros(0), np.zeros(0)
+
+    def bind(self, p: Array) -> None:
+        """Set the parameters of the fragment."""
+        self._p, self._known = p, np.zeros(0)
+
+    def minimum(self, x: Array) -> tuple[Array, int, SolverStatus]:
+        """Return the minimum from a start, the iterations and how it ended."""
+        s = self._problem.settings
+        solved = LevenbergMarquardt(self).solve(x, s.max_iterations, _DECREASE * s.tolerance)
+        return solved.x, solved.iterations, SolverStatus.of(solved)
+
+    def by_ipopt(self, x: Array) -> tuple[Array, int, SolverStatus]:
+        """The same by IPOPT; `SolverError` where it fails."""
+        with BUILDING:
+            found = np.asarray(self._problem.ipopt(x0=x, p=self._p)["x"]).ravel()
+            stats = self._problem.ipopt.stats()
+        status = _STATUS.get(stats["return_status"], SolverStatus.FAILED)
+        if status is SolverStatus.FAILED or not np.all(np.isfinite(found)):
+            raise SolverError(f"IPOPT: {stats['return_status']}")
+        return found, int(stats["iter_count"]), status
+
+    def energies(self, x: Array) -> Array:
+        """Return the energy of each term."""
+        if self._known is not x:
+            self._terms, self._slope = self._value(x, self._p)
+            self._known = x
+        return self._terms
+
+    def total(self, x: Array) -> float:
+        """Return the energy."""
+        return float(self.energies(x).sum())
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient (n,), 1/m."""
+        self.energies(x)
+        return self._slope.copy()
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Return energy and gradient; keep the Hessian."""
+        self._matrix.entries.reshape(-1)[self._places] = self._hessian(x, self._p)[0]
+        return self.total(x), self.gradient(x)
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """Return the positions after a step."""
+        return x + step
+
+    def factorise(self, damping: float) -> Factor:
+        """Factorise the Hessian with a damping on its diagonal."""
+        return self._matrix.factorise(damping)
 
 
 class CartesianSolver:
@@ -56,7 +122,7 @@ class CartesianSolver:
         with BUILDING:
             points = tuple((tuple(skeleton.index(*term.joints)), term) for term in terms)
             self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings, points)
-            self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
+            self._fragment = _Fragment(self._problem)
         self._one_at_a_time = threading.Lock()
         p = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
         a, b = np.array(self._problem.pairs).T
@@ -133,22 +199,21 @@ class CartesianSolver:
 
     def _call(self, x0: Array, values: dict[str, Array], first: int) -> tuple[Array, FragmentReport]:
         """One solution, with a report measured at the returned point."""
-        problem, p = self._problem, self._problem.pack(values)
-        began = perf_counter()
-        with BUILDING:
-            x = np.asarray(problem.solver(x0=x0, p=p)["x"]).ravel()
-            stats = problem.solver.stats()
-        seconds, status = perf_counter() - began, _STATUS.get(stats["return_status"], SolverStatus.FAILED)
-        if status is SolverStatus.FAILED or not np.all(np.isfinite(x)):
-            status, x = SolverStatus.FAILED, x0
-        return x, FragmentReport(
+        fragment, order, began = self._fragment, self._problem.order, perf_counter()
+        fragment.bind(self._problem.pack(values))
+        x, iterations, status = x0[order], 0, SolverStatus.FAILED
+        with suppress(SolverError):
+            x, iterations, status = fragment.by_ipopt(x) if self.settings.ipopt else fragment.minimum(x)
+        X = np.empty_like(x)
+        X[order] = x
+        return X, FragmentReport(
             first_frame=first,
             status=status,
-            energy=dict(zip(problem.terms, self._energy(x, p)[0].tolist(), strict=True)),
-            iterations=int(stats["iter_count"]),
-            seconds=seconds,
+            energy=dict(zip(self._problem.terms, fragment.energies(x).tolist(), strict=True)),
+            iterations=iterations,
+            seconds=perf_counter() - began,
             sigma_reprojection=float(values["sigma_reprojection"][0]),
-            optimality=float(np.abs(self._gradient(x, p)[0]).max()),
+            optimality=float(np.abs(fragment.gradient(x)).max()),
             infeasibility=0.0,
         )
 
