@@ -11,11 +11,49 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.core.files.input_table import InputTable, json_schema
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from rtof_kin.core.files.input_table import InputTable
 from rtof_kin.recording.tables import SCHEMA, RecordingTable
 
 PAGE = Path(__file__).with_name("recording.md")
 BEGIN, END = "<!-- fields: made by python -m docs.recording_fields -->", "<!-- end of fields -->"
+
+
+class _Schema(GenerateJsonSchema):
+    """A schema with descriptions, without titles, and without null, which TOML does not have."""
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        node = super().model_schema(schema)
+        for name, text in schema["cls"].descriptions().items():
+            node["properties"][name]["description"] = text
+        return node
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        node = super().default_schema(schema)
+        if not isinstance(node.get("default"), bool | int | float) and node.get("default") in (None, "", [], {}):
+            node.pop("default", None)
+        return node
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def json_schema(model: type[InputTable]) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a table, which does not have its rules."""
+    content = model.model_json_schema(schema_generator=_Schema)
+    for node in (content, *content.get("$defs", {}).values()):
+        node.pop("title", None)
+        if "description" in node:
+            node["description"] = " ".join(node["description"].split())
+        for one in node["properties"].values():
+            if isinstance(one.get("default"), dict):  # of a table: those of its fields
+                del one["default"]
+    return content
 
 
 @cache

@@ -1,7 +1,7 @@
 """`InputTable`: base of the models of TOML and JSON files that people write.
 
 A model is the only source of a table's fields, types, units, defaults and documentation. What a file has wrong is one
-error of the package with file, table, field and remedy; `json_schema` is for editors.
+error of the package with file, table, field and remedy.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     model_validator,
 )
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from rtof_kin.core.array_types import Array
@@ -262,44 +262,6 @@ def _locate(table: InputTable, path: Path, name: str) -> None:
             for key, row in rows:
                 if isinstance(row, InputTable):
                     _locate(row, path, f"{inner}.{key}")
-
-
-# --- schema --------------------------------------------------------------------------------------
-
-
-class _Schema(GenerateJsonSchema):
-    """A schema with descriptions, without titles, and without null, which TOML does not have."""
-
-    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        node = super().model_schema(schema)
-        for name, text in schema["cls"].descriptions().items():
-            node["properties"][name]["description"] = text
-        return node
-
-    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
-        return self.generate_inner(schema["schema"])
-
-    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        node = super().default_schema(schema)
-        if not isinstance(node.get("default"), bool | int | float) and node.get("default") in (None, "", [], {}):
-            node.pop("default", None)
-        return node
-
-    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
-        return False
-
-
-def json_schema(model: type[InputTable]) -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of a table, which does not have its rules."""
-    content = model.model_json_schema(schema_generator=_Schema)
-    for node in (content, *content.get("$defs", {}).values()):
-        node.pop("title", None)
-        if "description" in node:
-            node["description"] = " ".join(node["description"].split())
-        for one in node["properties"].values():
-            if isinstance(one.get("default"), dict):  # of a table: those of its fields
-                del one["default"]
-    return content
 
 
 # --- errors --------------------------------------------------------------------------------------
