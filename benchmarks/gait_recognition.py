@@ -21,11 +21,12 @@ import numpy as np
 
 from benchmarks.command_line import study_parser
 from benchmarks.harness import split, write_results
+from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import body_paths
+from rtof_kin.clinical.paths import PathCollector
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 
@@ -97,7 +98,9 @@ def judged(corpus: Path) -> Iterator[dict[str, Any]]:
 
 def verdict_on(poses: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:
     """Strides and verdict of one motion."""
-    gait = analyse_gait(gait_events(body_paths(poses, skeleton)))
+    paths = PathCollector(skeleton, poses.times)
+    paths.add(slice(None), poses, slice(None))
+    gait = analyse_gait(gait_events(paths.paths(ObservationMasks.of_poses(poses, skeleton))))
     return {
         "strides": len(gait.strides),
         "walking": len(gait.verdict.walking),

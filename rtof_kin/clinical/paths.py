@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.pose_prior import standing_frames
-from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence
@@ -72,24 +70,3 @@ class PathCollector:
     def paths(self, masks: ObservationMasks, corrections: tuple[Correction, ...] = ()) -> BodyPaths:
         """Return the paths; `corrections`: by hand, of the recording."""
         return BodyPaths(self._times, self._points, self._heading, self._standing, self._table, masks, corrections)
-
-
-def body_paths(
-    motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
-) -> BodyPaths:
-    """Return the paths of a motion. `InvalidInputError`: the poses are of another skeleton.
-
-    Args:
-        motion: a motion, or poses of all joints of `skeleton`.
-    """
-    if isinstance(motion, PoseSequence):
-        if skeleton is None:
-            raise InvalidInputError("body_paths: poses do not contain a skeleton; pass theirs")
-        collector = PathCollector(skeleton, motion.times, standing)
-        collector.add(slice(None), motion, slice(None))
-        return collector.paths(ObservationMasks.of_poses(motion, skeleton))
-    source = MotionSource.of(motion)
-    collector = PathCollector(source.skeleton, source.times, standing)
-    for block in source.blocks(margin=1):
-        collector.add(block.frames, block.motion.poses, block.own)
-    return collector.paths(source.masks, source.corrections)

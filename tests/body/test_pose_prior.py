@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clinical_support import body_paths
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
@@ -25,7 +26,6 @@ from rtof_kin.body.pose_prior import (
 )
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed, clinical_angles, relative_to_standing
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
-from clinical_support import LEG, limb, posture, squatting, walk, walking
+from clinical_support import LEG, body_paths, limb, posture, squatting, walk, walking
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -25,7 +25,6 @@ from rtof_kin.clinical.gait import (
     stride_shape,
 )
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import planted
 import pytest
-from clinical_support import walk
+from clinical_support import body_paths, walk
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
@@ -17,7 +17,6 @@ from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics, ErrorSpectrum
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.ground_reaction import single_support
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.clinical.torques import JointTorques, joint_torques
 from rtof_kin.core.errors import InvalidInputError

@@ -8,11 +8,10 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
-from clinical_support import walking
+from clinical_support import body_paths, walking
 
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.laboratory import trial_results
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.corrections import Correction
 from rtof_kin.formats.gait_events import read_event_corrections

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from clinical_support import body_paths
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.poses import PoseSequence

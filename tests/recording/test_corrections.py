@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clinical_support import body_paths
 from numpy.testing import assert_array_equal
 
 from rtof_kin.body.motion_file import MotionReader, write_motion
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import body_paths
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.corrections import Correction

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.observability import ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import angle_table
-from rtof_kin.clinical.angles import all_observed
+from rtof_kin.clinical.angles import all_observed, angles_and_paths
 from rtof_kin.clinical.decomposition import anatomical_posture
+from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reporting.analysis import document
@@ -53,6 +56,18 @@ def posture(skeleton: SkeletonModel, frames: int = 1, **turns: Array) -> PoseSeq
         R = np.reshape(whole, (-1, 1, 3, 3)) @ R
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.array([0.0, 0.0, 0.95]), R)
     return all_observed(PoseSequence(np.arange(frames) / 60, p, R, skeleton.names))
+
+
+def body_paths(
+    motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
+) -> BodyPaths:
+    """Paths of pelvis and feet of a motion, or of poses of a skeleton."""
+    if not isinstance(motion, PoseSequence):
+        return angles_and_paths(MotionSource.of(motion), standing=standing)[1]
+    assert skeleton is not None
+    collector = PathCollector(skeleton, motion.times, standing)
+    collector.add(slice(None), motion, slice(None))
+    return collector.paths(ObservationMasks.of_poses(motion, skeleton))
 
 
 def limb(side: str, segments: tuple[str, ...], R_turn: Array) -> dict[str, Array]:
