@@ -63,7 +63,7 @@ from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.hdf5 import read_arrays
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.core.jobs import Workers, in_order
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
@@ -87,12 +87,13 @@ from rtof_kin.formats.rerun_file import write_rrd
 from rtof_kin.formats.ros_log import write_ros_log
 from rtof_kin.formats.trial_results import MOST_EVENTS, Beside
 
-CONVENTION: Final = (
-    "world: z up, m; base: pose of the root link in world, quaternion x y z w; revolutes as in the "
-    "URDF, zero in the T-pose; p_NAME: landmark in world; NAME_valid: whether the position of that joint "
-    "was estimated and not bridged; NAME_seen_by: its provenance, 'prior' where unobserved; of a "
-    "revolute, base_q and other landmarks, NAME_valid: whether it was observed, else it is a prior's"
-)
+_TEXTS: Final = load_toml(Path(__file__).with_suffix(".toml"))
+
+
+def convention(name: str) -> str:
+    """Return axes, units, order and names of a format, of ``urdf``, or of the ``table`` of csv and parquet."""
+    shared: dict[str, str] = _TEXTS["shared"]
+    return str((_TEXTS["formats"] | shared)[name]).format(**shared)
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, ove
     source = MotionSource.of(motion)
     skeleton = source.skeleton
     offsets = dict(zip(skeleton.names, skeleton.joint_offsets.tolist(), strict=True))
-    about = {"convention": CONVENTION, "skeleton": skeleton.name, "joint_offsets_m": json.dumps(offsets)}
+    about = {"convention": convention("table"), "skeleton": skeleton.name, "joint_offsets_m": json.dumps(offsets)}
     with new_file(path, overwrite) as file, ExitStack() as stack:
         writer = None
         for block, masks in source.observed_blocks():
@@ -215,7 +216,6 @@ _MOST_FRAMES_C3D: Final = 0xFFFF  #: Frame numbers have 16 bits in the header
 class Format:
     """A kind of file that a motion is written to."""
 
-    convention: str  #: Axes, units, order and names
     write: FormatWriter  #: Write a motion into a folder: ``write(folder, motion, beside)``
     even: bool = False  #: True for formats with a rate in place of times, or whose readers expect even ones
 
@@ -239,7 +239,7 @@ def write_motion_files(
     check_formats(formats)
     folder, source = Path(folder), MotionSource.of(motion)
     (folder / URDF).write_text(source.skeleton.to_urdf(), encoding="utf-8")
-    files: Files = {URDF: {"format": "urdf", "convention": _LINKS}}
+    files: Files = {URDF: {"format": "urdf", "convention": convention("urdf")}}
     tasks = [partial(_write_format, folder, source, beside, name) for name in FORMATS if name in formats]
     for own in in_order(tasks, workers):
         if isinstance(own, RtofError):
@@ -253,7 +253,7 @@ def write_motion_files(
 def _write_format(folder: Path, motion: MotionSource, beside: Beside, name: str) -> Files:
     kind = FORMATS[name]
     even = motion.with_times(even_times(motion.times)) if kind.even else motion
-    about = {"format": name, "convention": kind.convention}
+    about = {"format": name, "convention": convention(name)}
     return {file: about | facts for file, facts in kind.write(folder, even, beside).items()}
 
 
@@ -277,13 +277,7 @@ def _index(motion: MotionSource, files: Files) -> Facts:
         "times_s": [float(times[0]), float(times[-1])],
         "gaps": [list(gap) for gap in runs(~seen)],
         **shares_from_prior(motion),
-        "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; from_prior: joints "
-        "with unobserved position, and the share of the frames outside gaps; a prior or neighbouring "
-        "joints place them, but .trc and .c3d leave them out; landmarks_from_prior: the same of other "
-        "landmarks; dofs_from_prior: the same of degrees of freedom and base_q, the root's orientation: "
-        "their numbers are a prior's or the model's; left_out: those that were never observed and that a "
-        "file lacks: take the model's zero; time_zero_s: the motion's time at which the clock of a file "
-        "shows 0; names with '-': sign opposite to the URDF's",
+        "meaning": _TEXTS["meaning"],
         "landmarks": {name: joint for name, (joint, _) in skeleton.landmarks.items()},
         "dofs": {
             dof.urdf: {"clinical": dof.clinical, "opensim": dof.opensim}
@@ -385,71 +379,25 @@ def _c3d(folder: Path, motion: MotionSource, beside: Beside) -> Files:
     return {"motion.c3d": facts}
 
 
-_GROUND = "OpenSim's ground: x forward (world x), y up (world z), z right (world -y)"
-_LINKS = (
-    "link frames x forward, y left, z up, parallel in the T-pose, where every angle is zero; m, rad, kg; "
-    "the base floats: add a floating joint where the file is loaded"
-)
-_COORDINATES = (
-    f"coordinates of skeleton.osim by name, zero in the T-pose; pelvis_* are of the root in {_GROUND}; even times"
-)
-_LOG: Final = (
-    "joint states, transforms of all links, bands, see formats.ros_log; world z up; m, rad, quaternion x y z w"
-)
-_RERUN: Final = "Rerun: world z up, m; pictures, px; angles with 95 % bands, degrees; on the time line 'time', s"
 FORMATS: Final[dict[str, Format]] = {
-    "csv": Format(f"{CONVENTION}; units in the names of columns or in the .json beside it", _whole(write_csv, *TABLES)),
-    "parquet": Format(
-        f"{CONVENTION}; units and other names in the metadata of columns",
-        _whole(write_motion_parquet, "motion.parquet"),
-    ),
-    "npz": Format(
-        "arrays of motion.h5, and its attributes, for numpy.load; see body.motion_file",
-        _whole(_write_npz, "motion.npz"),
-    ),
-    "ros": Format(
-        "trajectory_msgs/JointTrajectory of the URDF's revolutes by name, rad and rad/s, and "
-        "MultiDOFJointTrajectory of the root link in world, z up, m, quaternion x y z w",
-        _ros,
-    ),
-    "osim": Format(f"OpenSim 4: bodies are the URDF's links in their frames, markers its landmarks; {_GROUND}", _osim),
-    "mot": Format(f"{_COORDINATES}; degrees and m", _pieces(".mot", write_mot), even=True),
-    "sto": Format(f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s", _pieces(".sto", write_sto), even=True),
-    "trc": Format(
-        f"landmarks by name in {_GROUND}; m; even times",
-        _whole(lambda path, m: write_trc(path, landmark_markers(m), up="opensim"), "motion.trc"),
-        even=True,
-    ),
-    "c3d": Format(
-        "landmarks by name, x forward, y left, z up; mm, 32 bits; events; angles, deg, forces, N, and moments, N mm",
-        _c3d,
-        even=True,
-    ),
-    "bvh": Format(
-        "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
-        "of CHANNELS, z x y; zero in the T-pose",
-        _pieces(".bvh", lambda path, m: write_bvh(path, joint_tree(m), len(m)), has_times=False),
-        even=True,
-    ),
-    "mjcf": Format(
-        "MuJoCo: links, revolutes and masses of the URDF; the floor is where the feet stand, or lower, so that none is "
-        "deeper than 1 cm; qpos in their order: root x y z, quaternion w x y z, rad; z up, m; even times",
-        _mjcf,
-        even=True,
-    ),
+    "csv": Format(_whole(write_csv, *TABLES)),
+    "parquet": Format(_whole(write_motion_parquet, "motion.parquet")),
+    "npz": Format(_whole(_write_npz, "motion.npz")),
+    "ros": Format(_ros),
+    "osim": Format(_osim),
+    "mot": Format(_pieces(".mot", write_mot), even=True),
+    "sto": Format(_pieces(".sto", write_sto), even=True),
+    "trc": Format(_whole(lambda path, m: write_trc(path, landmark_markers(m), up="opensim"), "motion.trc"), even=True),
+    "c3d": Format(_c3d, even=True),
+    "bvh": Format(_pieces(".bvh", lambda path, m: write_bvh(path, joint_tree(m), len(m)), has_times=False), even=True),
+    "mjcf": Format(_mjcf, even=True),
     "bvh-lafan1": Format(
-        "22 joints with the names, order and axes of LAFAN1, x along the bone; y up, z forward, which is world x; "
-        "cm; degrees, z y x",
         _pieces("_lafan1.bvh", lambda path, m: write_bvh(path, lafan1_tree(m), len(m), order="zyx"), has_times=False),
         even=True,
     ),
-    "glb": Format(
-        "glTF 2.0: nodes are joints; y up, +z forward, which is world x; m, quaternions x y z w; morph targets: 95 % "
-        "band, and a mark where a joint was not observed",
-        _pieces(".glb", write_glb, has_times=False),
-    ),
-    "rrd": Format(_RERUN, _streamed("motion.rrd", write_rrd)),
-    "mcap": Format(f"MCAP: {_LOG}", _streamed("motion.mcap", write_ros_log)),
-    "rosbag": Format(f"ROS 2 bag: {_LOG}", _streamed("motion_bag", partial(write_ros_log, bag=True))),
+    "glb": Format(_pieces(".glb", write_glb, has_times=False)),
+    "rrd": Format(_streamed("motion.rrd", write_rrd)),
+    "mcap": Format(_streamed("motion.mcap", write_ros_log)),
+    "rosbag": Format(_streamed("motion_bag", partial(write_ros_log, bag=True))),
 }
-"""All formats by name."""
+"""All formats by name; ``motion_files.toml`` has their conventions."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.packages import Extensions
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture, xdf
@@ -35,75 +36,27 @@ class Format:
     file_is_trial: bool = False  #: True where one file holds all sensors of a trial
 
 
+_LOOKS: Final = load_toml(Path(__file__).with_suffix(".toml"))  #: Title -> `Format.looks` of the built-in formats
+
+
+def _built_in(
+    title: str, recognise: Callable[[str], bool], read: Callable[..., SensorLog], file_is_trial: bool = False
+) -> Format:
+    return Format(title, _LOOKS[title], recognise, read, file_is_trial)
+
+
 FORMATS: Final = (
-    Format(
-        xdf.TITLE,
-        "binary, begins with 'XDF:'; streams of channels NAME_qw, ..., NAME_acc_x, ...",
-        xdf.is_xdf,
-        xdf.read_xdf,
-        True,
-    ),
-    Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, True),
-    Format(
-        imu_mat.TITLE,
-        "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
-        imu_mat.is_imu_mat,
-        imu_mat.read_imu_mat,
-        True,
-    ),
-    Format(
-        tables.OPENSENSE_TITLE,
-        "text with DataType=Quaternion before endheader; columns time and BODY_imu",
-        tables.is_opensense_sto,
-        tables.read_opensense_sto,
-        True,
-    ),
-    Format(
-        total_capture.TITLE,
-        "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
-        total_capture.is_sensors,
-        total_capture.read_sensor_log,
-        True,
-    ),
-    Format(
-        tables.XIMU3_TITLE,
-        "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
-        tables.is_ximu3,
-        tables.read_ximu3,
-    ),
-    Format(
-        xsens.DOT_TITLE,
-        "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, ...",
-        xsens.is_xsens_dot,
-        xsens.read_xsens_dot,
-    ),
-    Format(
-        xsens.MT_TITLE,
-        "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
-        xsens.is_xsens_mt,
-        xsens.read_xsens_mt,
-    ),
-    Format(
-        tables.NORAXON_TITLE,
-        "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
-        tables.is_noraxon,
-        tables.read_noraxon,
-        True,
-    ),
-    Format(
-        tables.CSV_TITLE,
-        "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
-        tables.is_imu_csv,
-        tables.read_imu_csv,
-        True,
-    ),
-    Format(
-        tables.BIDS_TITLE,
-        "*_motion.tsv without a line of names; *_channels.tsv and *_motion.json beside it or above",
-        tables.is_bids_motion,
-        tables.read_bids_motion,
-        True,
-    ),
+    _built_in(xdf.TITLE, xdf.is_xdf, xdf.read_xdf, True),
+    _built_in(mvnx.TITLE, mvnx.is_mvnx, mvnx.read_mvnx, True),
+    _built_in(imu_mat.TITLE, imu_mat.is_imu_mat, imu_mat.read_imu_mat, True),
+    _built_in(tables.OPENSENSE_TITLE, tables.is_opensense_sto, tables.read_opensense_sto, True),
+    _built_in(total_capture.TITLE, total_capture.is_sensors, total_capture.read_sensor_log, True),
+    _built_in(tables.XIMU3_TITLE, tables.is_ximu3, tables.read_ximu3),
+    _built_in(xsens.DOT_TITLE, xsens.is_xsens_dot, xsens.read_xsens_dot),
+    _built_in(xsens.MT_TITLE, xsens.is_xsens_mt, xsens.read_xsens_mt),
+    _built_in(tables.NORAXON_TITLE, tables.is_noraxon, tables.read_noraxon, True),
+    _built_in(tables.CSV_TITLE, tables.is_imu_csv, tables.read_imu_csv, True),
+    _built_in(tables.BIDS_TITLE, tables.is_bids_motion, tables.read_bids_motion, True),
 )
 """Built-in formats."""
 ADDED: Final = Extensions("rtof_kin.sensor_formats", Format, lambda form: form.title)
