@@ -125,7 +125,7 @@ def reconstruct_in_parts(
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
     with explaining(job):
         seen = cache(partial(_thinned, source))
-        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode, seen))
+        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode, seen), workers)
     certified, spans = -1, [times[part.start : part.stop] for part in parts]
     if settings.certificate:
         certified = len(parts) // 2 if source.frame_times is None else _liveliest(seen(), spans)

@@ -28,6 +28,7 @@ from rtof_kin.calibration.straight_legs import NEVER_STILL
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError
+from rtof_kin.core.jobs import Workers, in_order
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
@@ -318,7 +319,12 @@ class SetupEstimate:
 
 
 def estimate_setup(
-    job: Job, mode: Mode, given: Given, slices: Sequence[Job] | None = None, filmed: Job | None = None
+    job: Job,
+    mode: Mode,
+    given: Given,
+    slices: Sequence[Job] | None = None,
+    filmed: Job | None = None,
+    workers: Workers | None = None,
 ) -> SetupEstimate:
     """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given. Errors of the
     stages.
@@ -326,6 +332,7 @@ def estimate_setup(
     Args:
         job: on the recording, or its first part. slices: on excerpts of a long one, in the order of time, by which
             clocks and calibration are estimated; filmed: the same for its camera, which the image alone shows then.
+        workers: lift the excerpts side by side.
     """
     if mode == "imu":
         return SetupEstimate()
@@ -338,7 +345,7 @@ def estimate_setup(
     choices = Choices("given" if calibration is not None else "yes" if calibrate else "no", known is not None, name)
     jobs, clocks, camera = [job] if slices is None else slices, ClockOffset(), None
     if sensed and (calibration is None or not calibration.of_kind("delay")):
-        clocks = find_offset(jobs)
+        clocks = find_offset(jobs, workers)
     warnings = clocks.warnings
     if own.camera.uncertainty is not None:
         camera = find_camera(clocks.corrected(filmed or job), mode if filmed is None else "lift")
@@ -353,8 +360,9 @@ def estimate_setup(
     return setup
 
 
-def find_offset(jobs: Sequence[Job]) -> ClockOffset:
-    """Estimate the clocks of jobs in the order of time; nothing where no person is seen or nothing moves.
+def find_offset(jobs: Sequence[Job], workers: Workers | None = None) -> ClockOffset:
+    """Estimate the clocks of jobs in the order of time; nothing where no person is seen or nothing moves. `workers`
+    lift them side by side.
 
     Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors
     (`calibration.clocks.small_offset`); where that leaves more than `_UNSHARP`, the energy of a short excerpt decides.
@@ -362,7 +370,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     if not jobs:
         return ClockOffset()
     try:
-        seen, sensed, columns = _angular_velocities(jobs)
+        seen, sensed, columns = _angular_velocities(jobs, workers)
         found = small_offset(seen.of(columns), sensed)
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
@@ -404,19 +412,30 @@ def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Q
     return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
 
 
-def _angular_velocities(jobs: Sequence[Job]) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
+def _angular_velocities(
+    jobs: Sequence[Job], workers: Workers | None
+) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
     """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
-    seen, sensed, columns = [], [], list[int]()
-    for job in jobs:
-        recording = job.recording
-        if recording.imus is None or recording.calibration is None:
-            raise CalibrationError(f"recording {recording.name}: has no calibrated IMUs")
-        lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
-        native = recording.calibration.apply(recording.imus)
-        columns = list(lifted.skeleton.index(*native.joints))
-        seen.append(velocities_in_image(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
-        sensed.append(angular_velocities(native.times, native.R_world_bone))
-    return joined(seen), joined(sensed), columns
+    tasks, parts = [partial(_velocities_of, replace(job, progress=silent)) for job in jobs], []
+    for done, found in enumerate(in_order(tasks, workers), start=1):
+        jobs[0].progress("lift", done, len(jobs))
+        parts.append(found)
+    for found in parts:
+        if isinstance(found, RtofError):
+            raise found
+    seen, sensed, columns = zip(*parts, strict=True)
+    return joined(seen), joined(sensed), columns[-1]
+
+
+def _velocities_of(job: Job) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
+    """`_angular_velocities` of one job."""
+    recording = job.recording
+    if recording.imus is None or recording.calibration is None:
+        raise CalibrationError(f"recording {recording.name}: has no calibrated IMUs")
+    lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
+    native = recording.calibration.apply(recording.imus)
+    seen = velocities_in_image(lifted.stages["lift"], lifted.recording.video, lifted.skeleton)
+    return seen, angular_velocities(native.times, native.R_world_bone), list(lifted.skeleton.index(*native.joints))
 
 
 def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:

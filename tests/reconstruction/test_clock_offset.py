@@ -14,6 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.calibration.straight_legs import NEVER_STILL
+from rtof_kin.core.jobs import Processes, Workers, outcome
 from rtof_kin.reconstruction import self_calibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Job
@@ -117,6 +118,12 @@ def test_the_uncertainty_of_the_clocks_widens_what_moves(demo: Recording, right:
 def test_a_recording_without_sensors_has_no_clocks_to_compare(demo: Recording) -> None:
     assert found(replace(demo.between(5.0, 8.0), imus=None, calibration=None)) == ClockOffset()
     assert find_offset([]) == ClockOffset()
+
+
+def test_excerpts_lifted_side_by_side_and_one_by_one_give_the_same_clocks(demo: Recording) -> None:
+    jobs = [Job.of(demo.between(begin, begin + 3.0)) for begin in (1.0, 6.0, 12.0)]
+    with Workers(Processes(2), outcome) as workers:
+        assert find_offset(jobs, workers) == find_offset(jobs)
 
 
 def test_sensors_that_began_seconds_off_are_left_out_and_the_first_line_says_when(demo: Recording) -> None:

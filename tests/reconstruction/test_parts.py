@@ -59,7 +59,7 @@ def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
 
 @pytest.mark.parametrize("mode", ["rtof", "imu"])
 def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_calibration, "find_offset", lambda _: ClockOffset())  # of other excerpts, 2 ms apart
+    monkeypatch.setattr(self_calibration, "find_offset", lambda *_: ClockOffset())  # of other excerpts, 2 ms apart
     demo = demo.between(0.0, 6.5)
     whole = reconstruct(demo, mode=mode)
     parts = list(reconstruct_in_parts(demo, mode=mode, seconds=SECONDS))
@@ -107,7 +107,7 @@ def test_where_no_part_can_be_reconstructed_the_error_is_raised(demo: Recording)
 
 
 def test_where_the_sensors_stop_the_camera_goes_on(demo: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(self_calibration, "find_offset", lambda _: ClockOffset())
+    monkeypatch.setattr(self_calibration, "find_offset", lambda *_: ClockOffset())
     demo = demo.between(0.0, 6.0)
     rows = int(np.searchsorted(demo.imus.times, 1.0))
     places = ReconstructionSettings(sensor_joints=demo.calibration.joints)  # of the usual energy
