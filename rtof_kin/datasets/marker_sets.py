@@ -37,17 +37,7 @@ from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.public_sets import (
-    Movement,
-    PublicSet,
-    Take,
-    TakeInputs,
-    Truth,
-    existing,
-    hinge_table,
-    kind_of,
-    natural,
-)
+from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, existing, hinge_table, kind_of, natural
 from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
@@ -62,15 +52,6 @@ CENTRES: Final = (
 """Order of the virtual markers."""
 VIDEO_HZ, MARKERS_HZ = 30.0, 120.0
 SIZE_PX: Final = (800, 600)
-_ARMS: Final = "pointing hand_clapping crossarms cross_arms hand_waving checking_watch taking_photo throw"
-_KINDS: Final[dict[str, Movement]] = {
-    "walking": "walk",
-    "sitting_down": "sit-to-stand",
-    "squatting": "squat",
-    "crawling": "floor",
-    "cross_legged_sitting": "floor",
-    **dict.fromkeys((*_ARMS.split(), "scratching_head", "phone_talking"), "arms"),
-}
 _CAMERAS: Final = ("PG1", "PG2")
 _MARKERS: Final = re.compile(r"F_v3d_Subject_(\d+)\.mat", re.IGNORECASE)
 _MISSING: Final = 1e-3
@@ -81,14 +62,6 @@ class Movi(PublicSet):
     """Adapter of round F of BML-MoVi."""
 
     name = "movi"
-    archive = "BML-MoVi"
-    layout = "F_v3d_Subject_1.mat beside F_PG1_Subject_1_L.avi and cameraParams_PG1.npz, at any depth"
-    title = "BML-MoVi, round F"
-    mode = "rto"
-    caution = (
-        "joint centres define the flexion of knees and elbows alone; their zero is a straight limb, so "
-        "that an offset of a few degrees is one of definition"
-    )
 
     def __init__(self, root: Path):
         super().__init__(root)
@@ -106,7 +79,7 @@ class Movi(PublicSet):
                 plain = re.sub(r"[^A-Za-z0-9]+", "_", motion)
                 for camera in _CAMERAS:
                     key = f"Subject_{number}_{index + 1:02d}_{plain}_{camera}"
-                    kind = kind_of(motion, _KINDS)
+                    kind = kind_of(motion, self.kinds)
                     yield Take(key, f"Subject_{number}", motion, kind, path.parent, camera)
 
     def inputs(self, take: Take) -> TakeInputs:
@@ -215,7 +188,6 @@ def read_motions(path: Path) -> dict[str, Any]:
     return {"motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points}
 
 
-_OPENCAP_KINDS: Final[dict[str, Movement]] = {"walking": "walk", "squats": "squat", "sts": "sit-to-stand"}
 _NO_MOVEMENT: Final = ("static", "extrinsics", "calib", "neutral")
 _VIDEOS: Final = (".avi", ".mp4", ".mov")
 _SYNCHRONISED: Final = "_syncdWithMocap"
@@ -230,10 +202,6 @@ class OpenCapValidation(PublicSet):
     """Adapter of LabValidation_withVideos."""
 
     name = "opencap"
-    archive = "LabValidation_withVideos"
-    layout = "subjectN/VideoData/SessionN/CamN/TRIAL/ and subjectN/OpenSimData/Mocap/IK/TRIAL.mot"
-    title = "OpenCap's laboratory validation"
-    mode = "rto"
 
     def _takes(self) -> Iterator[Take]:
         subjects = [*self.root.glob("subject*"), *self.root.glob("*/subject*")]
@@ -243,7 +211,7 @@ class OpenCapValidation(PublicSet):
                 if trial.lower().startswith(_NO_MOVEMENT):
                     continue
                 key = f"{subject.name}_{session}_{camera}_{trial}"
-                yield Take(key, subject.name, trial, kind_of(trial, _OPENCAP_KINDS), folder, camera)
+                yield Take(key, subject.name, trial, kind_of(trial, self.kinds), folder, camera)
 
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""

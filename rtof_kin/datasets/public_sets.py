@@ -19,6 +19,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError, reading
+from rtof_kin.core.files.text import load_toml
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.opensim import OpenSimTable
@@ -26,6 +27,7 @@ from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
 MOVEMENTS: Final[tuple[Movement, ...]] = get_args(Movement)  #: Classes of movement, in the order of tables
+_DESCRIPTIONS: Final = load_toml(Path(__file__).with_suffix(".toml"))
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Truth:
 
 
 class PublicSet(ABC):
-    """Adapter of one data set."""
+    """Adapter of one data set, which ``public_sets.toml`` describes under its name."""
 
     name: ClassVar[str]  #: On the command line
     title: ClassVar[str]
@@ -81,6 +83,12 @@ class PublicSet(ABC):
     caution: ClassVar[str] = ""  #: What its reference cannot show; '' if nothing
     layout: ClassVar[str]  #: Where its files are
     archive: ClassVar[str]  #: What is unpacked into the folder
+    kinds: ClassVar[Mapping[str, Movement]]  #: Beginning of a movement's name, or its code -> class
+
+    def __init_subclass__(cls) -> None:
+        """Take the description from the file."""
+        for key, value in _DESCRIPTIONS[cls.name].items():
+            setattr(cls, key, value)
 
     def __init__(self, root: Path):
         """Take the folder of the set, or one above; raises FileFormatError where there is none."""

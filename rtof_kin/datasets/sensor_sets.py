@@ -32,7 +32,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from pydantic import ConfigDict
@@ -44,7 +44,6 @@ from rtof_kin.core.files.input_table import InputTable, Number
 from rtof_kin.core.files.text import load_json, measurable, numbers_of, read_text
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.public_sets import (
-    Movement,
     PublicSet,
     Take,
     TakeInputs,
@@ -56,7 +55,6 @@ from rtof_kin.datasets.public_sets import (
 )
 from rtof_kin.formats.opensim import read_opensim_table
 
-EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}
 BODIES: Final = ("pelvis", "torso", "femur_r", "femur_l", "tibia_r", "tibia_l", "calcn_r", "calcn_l")
 """Bodies of OpenSim in the metadata that are used; the right foot's second sensor, on the toes, is left out."""
 POSE_SECONDS: Final = 1.0  #: [s] of the T-pose from `start_ts` on that are used
@@ -79,21 +77,13 @@ class Gaitex(PublicSet):
     """Adapter of GAITEX."""
 
     name = "gaitex"
-    archive = "GAITEX"
-    layout = "SUBJECT/ng/xsens_imu_data_SUBJECT_ng.csv with metadata and markers"
-    title = "GAITEX"
-    mode = "imu"
-    caution = (
-        "sensors give orientations alone, so that the root has no path; joint centres define the flexion "
-        "of the knees alone, with an offset of definition"
-    )
 
     def _takes(self) -> Iterator[Take]:
         for path in sorted(self.root.rglob("xsens_imu_data_*.csv")):
             subject, exercise = path.parent.parent.name, path.parent.name
-            if exercise in EXERCISES and path.name == f"xsens_imu_data_{subject}_{exercise}.csv":
+            if exercise in self.kinds and path.name == f"xsens_imu_data_{subject}_{exercise}.csv":
                 key = f"{subject}_{exercise}"
-                yield Take(key, subject, exercise, EXERCISES[exercise], path.parent)
+                yield Take(key, subject, exercise, self.kinds[exercise], path.parent)
 
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""
@@ -195,26 +185,6 @@ def _point(path: Path, points: dict[str, Array], markers: tuple[str, ...]) -> Ar
     return np.asarray(np.mean([points[marker] for marker in markers], axis=0))
 
 
-LOWER: Final = {
-    "qsHIPS": "pelvis",
-    "qsRUL": "right thigh",
-    "qsRLL": "right shank",
-    "qsLUL": "left thigh",
-    "qsLLL": "left shank",
-}
-UPPER: Final = {
-    "qsBACK": "sternum",
-    "qsRUA": "right upper arm",
-    "qsRLA": "right forearm",
-    "qsLUA": "left upper arm",
-    "qsLLA": "left forearm",
-}
-"""Sensors of A01 to A04 and of A05 to A13 -> segment."""
-ACTIVITIES: Final[dict[str, Movement]] = {
-    **dict.fromkeys(("A01", "A02", "A03"), "walk"),  # forward, backward, along a line
-    "A04": "sit-to-stand",
-    **dict.fromkeys((f"A{k:02}" for k in range(5, 14)), "arms"),
-}
 _LEGS: Final = tuple(
     f"{name}_{side}" for side in "rl" for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
 )
@@ -229,31 +199,24 @@ class Vidimu(PublicSet):
     """Adapter of VIDIMU's subjects with video and sensors."""
 
     name = "vidimu"
-    archive = "VIDIMU"
-    layout = "dataset/videoandimus/S40/S40_A01_T01.raw with .mp4 and ik_S40_A01_T01.mot"
-    title = "VIDIMU"
-    mode = "rto"
-    caution = (
-        "the reference is OpenSim's inverse kinematics of the same five sensors, not of markers: with "
-        "sensors in the mode the table shows agreement of two computations, not accuracy"
-    )
+    places: ClassVar[dict[str, dict[str, str]]]  #: Of the sensors on legs and on arms
 
     def _takes(self) -> Iterator[Take]:
         found: dict[str, Path] = {}
         for path in sorted([*self.root.rglob("*.raw"), *self.root.rglob("ik_S*.mot")]):
             name = _TRIAL.fullmatch(path.stem.removeprefix("ik_"))
-            if name is None or path.parent.name != name[1] or name[2] not in ACTIVITIES:
+            if name is None or path.parent.name != name[1] or name[2] not in self.kinds:
                 continue
             if not path.parent.parent.name.startswith("videoandimusync"):  # cut copies without videos of their own
                 found.setdefault(name[0], path.parent)
         for key, folder in sorted(found.items()):
             subject, activity, _ = key.split("_")
-            yield Take(key, subject, activity, ACTIVITIES[activity], folder, "camera")
+            yield Take(key, subject, activity, self.kinds[activity], folder, "camera")
 
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""
         path = existing(take.folder / f"{take.key}.raw", "the sensors' quaternions", "unpack dataset.zip of VIDIMU")
-        places = LOWER if take.movement in ("A01", "A02", "A03", "A04") else UPPER
+        places = self.places["arms" if take.kind == "arms" else "legs"]
         log = read_raw(path, tuple(places))
         return TakeInputs(video=self._video(take), rate_hz=30.0, sensors=log, places=places)
 
@@ -270,13 +233,12 @@ class Vidimu(PublicSet):
             "OpenSim's inverse kinematics",
             "unpack dataset.zip of VIDIMU; trials that failed have none: leave them out by --takes",
         )
-        lower = take.movement in ("A01", "A02", "A03", "A04")
         table = read_opensim_table(path)
         if len(table.times) <= _OF_POSE + 1:
             raise FileFormatError(path, f"has {len(table.times)} rows: cut off?")
         table = replace(table, times=table.times[_OF_POSE:], values=table.values[_OF_POSE:])
         source = "OpenSim inverse kinematics of the take's own sensors"
-        return Truth(table, _LEGS if lower else _ARMS, source, of_sensors=True, reach=2.0)
+        return Truth(table, _ARMS if take.kind == "arms" else _LEGS, source, of_sensors=True, reach=2.0)
 
 
 def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
