@@ -13,7 +13,7 @@ from rtof_kin.app.frame import Frame, Show
 from rtof_kin.app.store import AT_WORK, FILES, State, Take
 from rtof_kin.app.texts import TEXTS, worded
 from rtof_kin.core.errors import InvalidInputError, RtofError
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.setup.init import FINDINGS, read_findings
 from rtof_kin.setup.people import PICTURE, people_in_picture
@@ -27,24 +27,13 @@ PICTURES: Final = {PICTURE: f"{RECORDING}/{PICTURE}", f"second-{PICTURE}": f"{SE
 """Pictures of the people, and where they are."""
 _OF_CAMERA: Final = {kind.value for kind in (SourceKind.VIDEO, SourceKind.KEYPOINTS, SourceKind.CAMERA)}
 _BESIDE: Final = {kind.value for kind in (SourceKind.SENSOR_MAP, SourceKind.CAMERA)}  # Nothing is found in them
-_LIMBS: Final = {
-    "Shoulder": (118, 73, 130, 75, 12),
-    "Arm": (141, 84, 148, 120, 17),
-    "ForeArm": (151, 135, 156, 166, 14),
-    "Hand": (158, 181, 159, 190, 13),
-    "UpLeg": (113, 172, 117, 214, 25),
-    "Leg": (118, 236, 119, 276, 18),
-    "Foot": (121, 295, 129, 303, 14),
+_DRAWING: Final = load_toml(Path(__file__).with_suffix(".toml"))
+_BODY: Final[dict[str, list[int]]] = {
+    **_DRAWING["trunk"],
+    **{f"Left{name}": line for name, line in _DRAWING["limbs"].items()},
+    **{f"Right{name}": [200 - x0, y0, 200 - x1, y1, w] for name, (x0, y0, x1, y1, w) in _DRAWING["limbs"].items()},
 }
-_BODY: Final = {
-    "Head": (100, 28, 100, 36, 30),
-    "Spine3": (90, 94, 110, 94, 32),
-    "Spine": (93, 124, 107, 124, 22),
-    "Hips": (88, 149, 112, 149, 24),
-    **{f"Left{name}": line for name, line in _LIMBS.items()},
-    **{f"Right{name}": (200 - x0, y0, 200 - x1, y1, width) for name, (x0, y0, x1, y1, width) in _LIMBS.items()},
-}
-"""Ends of a line for each segment, and its width, in a drawing 200 wide and 320 high; the person looks at you."""
+"""Ends of a line for each segment, and its width."""
 _CHOSEN: Final = "e => { const one = e.target.closest('[data-choice]'); if (one) emit(one.dataset.choice) }"
 
 _HELD: Final = "e => { e.dataTransfer?.setData('text/plain', ''); emit() }"  # without data Firefox drags nothing

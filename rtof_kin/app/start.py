@@ -19,6 +19,7 @@ from rtof_kin.app.store import Store
 from rtof_kin.app.texts import TEXTS, languages
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.manifest import make_private
+from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.jobs.memory import available_memory
 from rtof_kin.core.packages import install
 from rtof_kin.core.resources import model_path
@@ -37,21 +38,7 @@ _BROWSERS: Final = (
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
     "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
 )
-_FIGURE: Final = '<circle cx="30" cy="13" r="6"/><path d="M30 19v25m-12-9l12-10 12 10m-12 9l-9 24m9-24l9 24"/>'
-_SENSORS: Final = '<path d="M18 31l4-4m16 0l4 4M24 56l2-6m8 0l2 6" stroke-width="7"/>'
-_PHONE: Final = '<rect x="74" y="16" width="14" height="25" rx="2"/><path d="M81 41v9l-8 18m8-18l8 18"/>'
-_CURVE: Final = '<path d="M30 52c10-22 18-22 24-8s10 10 16-6"/>'
-_PICTURES: Final = (  # of the five steps
-    f'{_FIGURE}<rect x="56" y="18" width="38" height="28" rx="3"/><path d="M62 27h26m-26 9h16"/>',
-    f'{_FIGURE}{_SENSORS}{_PHONE}<path d="M71 28L46 13m25 15L46 62" stroke-dasharray="3 4"/>',
-    '<path d="M16 34h22l6 6h40v28H16zM50 6v22m-8-8l8 9 8-9"/>',
-    '<g stroke-width="9"><path d="M14 18h72M14 38h72M14 58h72" opacity=".25"/><path d="M14 18h72M14 38h46"/></g>',
-    f'<path d="M22 5h56v66H22zM30 15h26m-26 7h16"/>{_CURVE}<g stroke-width="11" opacity=".25">{_CURVE}</g>',
-)
-_SVG: Final = (
-    '<svg viewBox="0 0 100 76" aria-hidden="true" fill="none" stroke="currentColor" stroke-width="2.5" '
-    'stroke-linecap="round" stroke-linejoin="round" style="width:100%;max-height:6rem">{}</svg>'
-)
+_STEPS: Final = load_toml(Path(__file__).with_suffix(".toml"))  #: Pictures of the five steps
 
 
 @dataclass(frozen=True)
@@ -83,9 +70,10 @@ def tour(frame: Frame) -> None:
     with frame.ui.element("section").classes("w-full") as section:
         frame.heading(TEXTS.tour, 2)
         with frame.ui.element("ol").classes("grid grid-cols-1 sm:grid-cols-3 md:grid-cols-5 gap-4 py-4"):
-            for picture, (title, words) in zip(_PICTURES, TEXTS.steps.items(), strict=True):
+            for picture, (title, words) in zip(_STEPS["pictures"], TEXTS.steps.items(), strict=True):
                 with frame.ui.element("li"):
-                    frame.ui.html(_SVG.format(picture), sanitize=False).classes("text-primary")
+                    svg = _STEPS["svg"].format(picture.format(**_STEPS["parts"]))
+                    frame.ui.html(svg, sanitize=False).classes("text-primary")
                     frame.ui.label(title).classes("text-lg")
                     frame.ui.label(words)
 

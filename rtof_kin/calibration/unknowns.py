@@ -53,11 +53,13 @@ class Unknown(ABC):
     searched = False
     shrinks = False
     nuisance = False
+    sigma: float | Array
+    """Standard deviation of each number before the calibration, where all are independent and of one size."""
 
     @property
-    @abstractmethod
     def covariance(self) -> Array:
         """(k, k) of the prior."""
+        return np.eye(len(self.items)) * self.sigma**2
 
     def limited(self, constant_px: float) -> Unknown:  # noqa: ARG002
         """Return the kind with a prior limited by the constant part of a detector's errors, px."""
@@ -195,11 +197,6 @@ class Delay(Unknown):
     searched = True
     items = ("video",)
 
-    @property
-    def covariance(self) -> Array:
-        """(1, 1)."""
-        return np.array([[self.sigma**2]])
-
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Sample the sensors at the corrected times of the video."""
         q, w, a, w_a = self.sampled(given.times - y[0])
@@ -222,11 +219,6 @@ class Heading(Unknown):
     items: tuple[str, ...]
     sigma: float  # [rad]
     name = "heading"
-
-    @property
-    def covariance(self) -> Array:
-        """(k, k), sensor after sensor."""
-        return np.eye(len(self.items)) * self.sigma**2
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Rotate orientations and accelerations."""
@@ -340,11 +332,6 @@ class Ankles(Unknown):
     name = "ankle height"
     nuisance = True
     items = ("feet",)
-
-    @property
-    def covariance(self) -> Array:
-        """(1, 1)."""
-        return np.array([[self.sigma**2]])
 
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Raise the floor."""

@@ -26,6 +26,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError, reading
+from rtof_kin.core.files.text import opening
 from rtof_kin.core.packages import optional
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.formats.channels import PointChannels, StreamChannels
@@ -65,9 +66,9 @@ class _Structure:
 def _read_structure(path: Path) -> _Structure:
     """Walk through a file's chunks: a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications)."""
     headers, filled, synchronised, end = dict[int, _Header](), set[int](), set[int](), len(MAGIC)
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
+    with opening(path), path.open("rb") as stream:
+        try:
+            size = path.stat().st_size
             if stream.read(end) != MAGIC:
                 raise FileFormatError(path, "does not begin with 'XDF:'")
             while head := stream.read(1):
@@ -90,12 +91,8 @@ def _read_structure(path: Path) -> _Structure:
                 elif tag == _CLOCK_OFFSET:
                     synchronised.add(number)
                 end = after
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
-    except (LookupError, ValueError, ElementTree.ParseError) as error:
-        raise FileFormatError(path, f"damaged at byte {end} ({error}); record or copy it again") from error
+        except (LookupError, ValueError, ElementTree.ParseError) as error:
+            raise FileFormatError(path, f"damaged at byte {end} ({error}); record or copy it again") from error
     return _Structure(tuple(headers.values()), frozenset(filled), frozenset(synchronised), end, end < size)
 
 

@@ -19,6 +19,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import write_npz
+from rtof_kin.core.files.text import beginning
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import CHOICES, SensorLog
 from rtof_kin.formats.sensors.files import format_of, read_sensor_log
@@ -231,11 +232,9 @@ def _is_own_csv(path: Path) -> bool:
     """Return whether a .csv has the columns of a recording's own, or none of a sensor file's."""
     if path.suffix.lower() != ".csv":
         return False
-    with reading(path, "cannot be read: {}", OSError), path.open("rb") as stream:
-        head = stream.read(2**14).decode("utf-8-sig", errors="replace")
+    head = beginning(path).decode("utf-8-sig", errors="replace")
     names = [name for name in cells(head.split("\n", 1)[0], ",") if name != "time"]
-    own = all(name.endswith(_IMU_COLUMNS) for name in names)
-    return own or format_of(path) is None
+    return all(name.endswith(_IMU_COLUMNS) for name in names) or format_of(path) is None
 
 
 def _check_rotations(path: Path, shapes: Mapping[str, tuple[int, ...]], S: int) -> None:

@@ -13,6 +13,7 @@ from typing import Final
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
+from rtof_kin.core.files.text import beginning
 from rtof_kin.formats.cameras import MATRIX_NAMES
 from rtof_kin.formats.sensors.files import format_of, holds_sensors
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
@@ -22,7 +23,6 @@ from rtof_kin.recording.index import INDEX
 from rtof_kin.vision.detections import is_keypoint_header
 from rtof_kin.vision.keypoint_files import ARRAY_NAMES
 
-_HEAD_BYTES: Final = 2**14
 _LARGEST_MAP: Final = 2**18
 VIDEO_SUFFIXES: Final = frozenset(
     {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".3gp"}
@@ -77,13 +77,7 @@ def recognise_source(path: str | Path) -> SourceKind:
     path = Path(path)
     if path.is_dir():
         return _of_folder(path)
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file or folder") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
+    head = beginning(path, "file or folder")
     film = head[4:8] in _BOXES or head.startswith(_CONTAINERS) or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
     if film or path.suffix.lower() in VIDEO_SUFFIXES:
         return SourceKind.VIDEO

@@ -29,6 +29,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
+from rtof_kin.data.poses import Provenance
 
 FRAMES = 300
 BLOCKS = (1, 16, 97, 300)
@@ -127,6 +128,8 @@ def test_h5py_alone_can_read_it(path: Path, motion: Motion) -> None:
         np.testing.assert_allclose(file["q"][3:5], motion.q[3:5], rtol=0, atol=3e-8)
         for name, dataset in file.items():
             assert {key: text.decode() for key, text in dataset.attrs.items()} == ABOUT[name]
+    kinds = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in Provenance)
+    assert ABOUT["provenance"]["shape"] == f"(T, J): {kinds}"
 
 
 @pytest.mark.parametrize("named", ["motion", "confident"])

@@ -9,6 +9,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from rtof_kin.core.files.folder import new_file
 
 LARGEST_TEXT = 2**30  #: Largest text file, bytes
 LARGEST_TOML = 32 * 2**20  #: Largest TOML file, bytes
+_HEAD_BYTES = 2**14
 _BETWEEN_KEYS, _MOST_DOTS = re.compile(r"[^\w.\"' \t-]"), 1000
 """Separator of keys, and most dots in a key: tomllib needs memory quadratic in the parts of a key."""
 LARGEST_NUMBER = 1e20  #: Largest magnitude of a number in a file; its square is finite
@@ -35,6 +37,19 @@ def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
         raise FileFormatError(path, problem)
     if path.stat().st_size > limit:
         raise FileFormatError(path, f"larger than {limit / 2**20:.0f} MiB, so not {what}")
+
+
+@contextmanager
+def opening(path: str | Path, what: str = "file") -> Iterator[None]:
+    """Turn errors of the system about a file, or about `what` else it may be, into a `FileFormatError`."""
+    with reading(path, "cannot be read: {}", OSError), reading(path, f"there is no such {what}", FileNotFoundError):
+        yield
+
+
+def beginning(path: Path, what: str = "file") -> bytes:
+    """Return the first 16 KiB of a file, by which its format is recognised; errors as `opening`."""
+    with opening(path, what), path.open("rb") as stream:
+        return stream.read(_HEAD_BYTES)
 
 
 def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.files.text import beginning, load_toml
 from rtof_kin.core.packages import Extensions
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture, xdf
 from rtof_kin.formats.sensors import imu_mat, mvnx, tables, xsens
 
-_HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
 
 
@@ -146,13 +145,7 @@ def format_of(path: Path) -> Format | None:
     """Return the format of a file by the text that it begins with; None where it is none of them, `FileFormatError`
     where it cannot be read.
     """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace")
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file or folder") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
+    head = beginning(path, "file or folder").decode("utf-8-sig", errors="replace")
     return next((kind for kind in formats() if kind.recognise(head)), None)
 
 

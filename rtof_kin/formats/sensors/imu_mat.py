@@ -16,7 +16,7 @@ import numpy as np
 from scipy import io as scipy_io
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
 
@@ -58,7 +58,9 @@ def matlab_variables(path: Path, simplify_cells: bool = False) -> dict[str, Any]
     out. Nothing in the file is executed. `FileFormatError`: no such file,
     of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
     """
-    try:
+    damaged = "damaged, or no MATLAB file ({}); save it again"
+    # SciPy's reader raises errors of many types.
+    with reading(path, damaged, Exception), reading(path, "there is no such file", FileNotFoundError):
         with path.open("rb") as stream:
             if stream.read(len(_NEWER)) == _NEWER.encode():
                 problem = "is of MATLAB 7.3, which is not read; save it with the option '-v7'"
@@ -72,12 +74,6 @@ def matlab_variables(path: Path, simplify_cells: bool = False) -> dict[str, Any]
         return dict(
             scipy_io.loadmat(str(path), struct_as_record=False, squeeze_me=False, simplify_cells=simplify_cells)
         )
-    except FileFormatError:
-        raise
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except Exception as error:  # SciPy's reader raises errors of many types
-        raise FileFormatError(path, f"damaged, or no MATLAB file ({error}); save it again") from error
 
 
 def _sizes(stream: IO[bytes]) -> Iterator[int]:

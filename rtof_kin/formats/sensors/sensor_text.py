@@ -22,7 +22,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.text import LARGEST_NUMBER
+from rtof_kin.core.files.text import LARGEST_NUMBER, opening
 
 LARGEST_BYTES: Final = 2**30  #: Largest file that is read, bytes; a day of one sensor at 100 Hz
 LONGEST_LINE: Final = 2**16
@@ -57,7 +57,7 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
     """Yield the lines of a text file of at most `limit` bytes with their numbers from 1, one at a time.
     `FileFormatError`: no such file, too large, binary, not UTF-8, or a line too long.
     """
-    try:
+    with opening(path):
         if path.stat().st_size > limit:
             raise FileFormatError(path, f"larger than {limit / 2**20:.0f} MiB; split the recording")
         with path.open("rb") as stream:
@@ -72,10 +72,6 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
                 except UnicodeDecodeError as error:
                     problem = f"byte {line[error.start]:#x} is not UTF-8 text; save the file as UTF-8"
                     raise FileFormatError(path, problem, number) from error
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
 
 
 def cells(line: str, delimiter: str | None = None) -> list[str]:
