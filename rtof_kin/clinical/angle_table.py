@@ -18,20 +18,6 @@ from rtof_kin.formats.joint_trajectory import BASE_TURN
 
 SIDES: Final = ("right", "left")
 _VERTICAL: Final = "y"  # axis of the ISB frames that points up
-_MOVEMENTS: Final = (
-    "dorsiflexion/plantarflexion",
-    "flexion/extension",
-    "adduction/abduction",
-    "internal/external rotation",
-    "inversion/eversion",
-    "pronation/supination",
-    "ulnar/radial deviation",
-    "left/right bending",
-    "left/right rotation",
-    "protraction/retraction",
-    "backward/forward rotation",
-    "elevation/depression",
-)
 
 
 def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
@@ -43,7 +29,7 @@ def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
     names = {own.urdf: own.clinical.lstrip("-") for joint in skeleton.joints for own in joint.dofs}
     if not (name := names.get(dof)):
         return dof
-    for both in _MOVEMENTS:
+    for both in _file()["movements"]:
         positive = re.sub(r"/\w+", "", both)
         if name.endswith(positive):
             return f"{name.removesuffix(positive)}{both} ({dof})"

@@ -26,15 +26,7 @@ from rtof_kin.formats.trial_results import Beside
 _VIDEO: Final = "foxglove_msgs/msg/CompressedVideo"
 _OWN_TYPES: Final = {
     "rtof_kin_msgs/msg/Bands": "".join(f"uint8 {kind.name}={kind.value}\n" for kind in Provenance)
-    + """std_msgs/Header header
-string[] joint
-float64[] position_sigma  # [m] standard deviation per axis in world; NaN where unknown
-float64[] rotation_sigma  # [rad] the same, of the segment that begins at the joint
-bool[] valid              # the position was estimated, not bridged over a long gap
-uint8[] seen_by           # one of the constants; below IMU nothing observed it
-string[] angle            # of the URDF, as in joint_states
-bool[] observed           # else the angle is a prior's or the model's
-""",
+    + Path(__file__).with_name("Bands.msg").read_text(encoding="utf-8"),
     _VIDEO: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n",
 }
 _POINT: Final = ("x", "y", "z", "rgb", "sigma", "seen_by")  #: Fields of a point of the cloud
