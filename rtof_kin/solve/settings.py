@@ -143,7 +143,7 @@ class CartesianSettings:
     tolerance: float = 1e-6
     """Of the gradient, IPOPT's; a thousandth of it is the relative decrease of the energy below which the package's own
     solver has solved a fragment."""
-    max_iterations: int = 60
+    max_iterations: int = 200
 
     def __post_init__(self) -> None:
         _check_range(self)
