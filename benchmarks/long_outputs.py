@@ -51,6 +51,7 @@ COMMANDS: Final = {
     "overlay of 20 s": ("overlay", MOTION_FOLDER, "-o", f"{OUTPUT}.mp4", *FILM),
     "view --html of 5 minutes": ("view", MOTION_FOLDER, "--html", f"{OUTPUT}.html", "--stop", "300"),
     "compare the sides": ("compare", MOTION_FOLDER, "--sides", "-o", OUTPUT),
+    "evaluate": ("evaluate", MOTION_FOLDER, "--truth", RECORDING, "--clinical"),
     "compare": ("compare", MOTION_FOLDER, MOTION_FOLDER, "-o", OUTPUT),
     **{f"export {names}": ("export", MOTION_FOLDER, "-o", OUTPUT, "--to", names) for names in FORMATS},
 }

@@ -19,6 +19,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -26,12 +27,15 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.over_time import ALL, BLOCK, Stream
 from rtof_kin.data.poses import PoseSequence
 
 BEGUN_TOGETHER = "mode imu has no global position: the estimate is shifted to start at the truth"
 """Remark on metrics and figures of mode imu, see `comparable`."""
+Poses = PoseSequence | Stream[PoseSequence]
+_AFTER: Final = 3  #: Frames after a block that its differences need
 _log = logging.getLogger(__name__)
 
 
@@ -55,7 +59,7 @@ class Metrics(Mapping[str, float]):
         return len(self.pooled)
 
 
-def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
+def evaluate(estimate: Poses, truth: Poses, skeleton: SkeletonModel) -> Metrics:
     """Compute all metrics over the frames in which estimate and truth have all joints and the truth is valid.
 
     >>> from rtof_kin import Recording, evaluate, reconstruct
@@ -71,50 +75,63 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     Raises:
         UnknownNameError, InvalidInputError: joints differ from the skeleton's; fewer than four common frames.
     """
+    estimate, over_time = Stream.of(estimate), dict[str, list[Array]]()
+    sums, frames, valid = dict[str, Array](), 0, 0  # by metric: sums and numbers of values (2, J)
+    truth = resampled(truth, estimate.times)
+    for pair in zip(estimate.blocks(_AFTER), truth.blocks(_AFTER), strict=True):
+        figures, both = _figures(*pair, skeleton, estimate.rate_hz)
+        for name, values in figures.items():
+            known = np.isfinite(own := values[:BLOCK])
+            sums[name] = sums.get(name, 0.0) + np.stack([np.sum(own, axis=0, where=known), known.sum(axis=0)])
+        error, relative, bent = (figures[name][:BLOCK] for name in ("mpjpe_mm", "mpjpe_rr_mm", "flexion_deg"))
+        of_block = {"mpjpe_mm": error.mean(axis=1), "mpjpe_rr_mm": relative.mean(axis=1)}
+        for name, own in (of_block | {"joint_mm": error, "joint_flexion_deg": bent}).items():
+            over_time.setdefault(name, []).append(own)
+        frames += int(np.count_nonzero(both[:BLOCK]))
+        valid += int(np.count_nonzero(pair[0].valid[:BLOCK][both[:BLOCK]]))
+    if frames < 4:
+        raise InvalidInputError("metrics: estimate and truth have fewer than four frames in common")
+    return Metrics(
+        pooled={name: _ratio(*own.sum(axis=1)) for name, own in sums.items()}
+        | {"coverage": valid / (frames * len(skeleton.names))},
+        per_joint={
+            joint: {name: _ratio(*own[:, j]) for name, own in sums.items() if own[1, j]}
+            for j, joint in enumerate(skeleton.names)
+        },
+        over_time={name: np.concatenate(parts) for name, parts in over_time.items()},
+    )
+
+
+def _figures(
+    estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel, rate_hz: float
+) -> tuple[dict[str, Array], Mask]:
+    """Return the figures (T, J) of consecutive frames by metric, those of differences shorter; and a mask (T,) of the
+    frames that are scored.
+    """
     skeleton.check_joints(estimate.names, "estimate")
     skeleton.check_joints(truth.names, "truth")
-    truth = at_times(truth, estimate.times)
-    both = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
+    both: Mask = np.asarray(np.isfinite(truth.p_world_joint).all(axis=(1, 2)))
     both &= truth.valid.all(axis=1)
     both &= np.isfinite(estimate.p_world_joint).all(axis=(1, 2))
-    if both.sum() < 4:
-        raise InvalidInputError("metrics: estimate and truth have fewer than four frames in common")
     p = np.where(both[:, None, None], estimate.p_world_joint, np.nan)
     p_true = np.where(both[:, None, None], truth.p_world_joint, np.nan)
-    error = np.linalg.norm(p - p_true, axis=-1) * 1000
-    relative = np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000
-    aligned = np.full_like(error, np.nan)
+    aligned = np.full(p.shape[:2], np.nan)
     aligned[both] = np.linalg.norm(procrustes(p[both], p_true[both]) - p_true[both], axis=-1) * 1000
     local = (kinematics.local_rotations(skeleton.parents, poses.R_world_bone) for poses in (estimate, truth))
     angle = np.where(both[:, None], so3.angle_between(*local), np.nan)  # of the root in world
-    rate = estimate.rate_hz
-    acceleration = np.linalg.norm(signals.derivative(p - p_true, rate, 2), axis=-1)
-    jerk = np.linalg.norm(signals.derivative(p - p_true, rate, 3), axis=-1)
-    figures = {
-        "mpjpe_mm": error,
-        "mpjpe_rr_mm": relative,
+    acceleration = np.linalg.norm(signals.derivative(p - p_true, rate_hz, 2), axis=-1)
+    jerk = np.linalg.norm(signals.derivative(p - p_true, rate_hz, 3), axis=-1)
+    return {
+        "mpjpe_mm": np.linalg.norm(p - p_true, axis=-1) * 1000,
+        "mpjpe_rr_mm": np.linalg.norm((p - p[:, :1]) - (p_true - p_true[:, :1]), axis=-1) * 1000,
         "mpjpe_pa_mm": aligned,
         "mpjae": acceleration,
         "mpjje": jerk,
-        "mpjae_frame_mm": acceleration / rate**2 * 1000,
-        "mpjje_frame_mm": jerk / rate**3 * 1000,
+        "mpjae_frame_mm": acceleration / rate_hz**2 * 1000,
+        "mpjje_frame_mm": jerk / rate_hz**3 * 1000,
         "angle_deg": np.degrees(angle),
         "flexion_deg": np.degrees(np.abs(flexion(p, skeleton) - flexion(p_true, skeleton))),
-    }
-    names = estimate.names
-    return Metrics(
-        pooled={n: _mean(v) for n, v in figures.items()} | {"coverage": float(estimate.valid[both].mean())},
-        per_joint={
-            joint: {n: _mean(v[:, j]) for n, v in figures.items() if np.isfinite(v[:, j]).any()}
-            for j, joint in enumerate(names)
-        },
-        over_time={
-            "mpjpe_mm": error.mean(axis=1),
-            "mpjpe_rr_mm": relative.mean(axis=1),
-            "joint_mm": error,
-            "joint_flexion_deg": figures["flexion_deg"],
-        },
-    )
+    }, both
 
 
 def stage_metrics(
@@ -133,7 +150,7 @@ def stage_metrics(
     return {name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()}
 
 
-def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSequence:
+def comparable(estimate: Poses, truth: Poses, mode: str) -> Poses:
     """Return an estimate to be compared with a truth: in mode imu shifted to it, else unchanged.
 
     The shift is constant; the roots coincide in the first frame with both, see `BEGUN_TOGETHER`.
@@ -143,42 +160,73 @@ def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSe
     """
     if mode != "imu":
         return estimate
-    true = at_times(truth, estimate.times)
-    shift = true.p_world_joint[:, 0] - estimate.p_world_joint[:, 0]
-    known = np.flatnonzero(np.isfinite(shift).all(axis=1) & true.valid[:, 0])
-    if len(known) == 0:
-        return estimate
-    return estimate.with_poses(slice(None), estimate.p_world_joint + shift[known[0]])
+    whole = Stream.of(estimate)
+    for poses, true in zip(whole.blocks(), resampled(truth, whole.times).blocks(), strict=True):
+        shift = true.p_world_joint[:, 0] - poses.p_world_joint[:, 0]
+        known = np.flatnonzero(np.isfinite(shift).all(axis=1) & true.valid[:, 0])
+        if len(known):
+            return _moved(whole, 0.0, shift[known[0]])
+    return estimate
 
 
-def aligned_worlds(estimate: PoseSequence, truth: PoseSequence) -> tuple[PoseSequence, float, Array]:
+def _moved(estimate: Stream[PoseSequence], angle: float, shift: Array) -> Stream[PoseSequence]:
+    """Return poses that are turned about the vertical by an angle, rad, and then shifted, (3,) m."""
+    R = so3.about_axis("z", angle)
+
+    def part(rows: slice) -> PoseSequence:
+        poses = estimate.part(rows)
+        return replace(poses, p_world_joint=poses.p_world_joint @ R.T + shift, R_world_bone=R @ poses.R_world_bone)
+
+    return Stream(estimate.times, part)
+
+
+def aligned_worlds(estimate: Poses, truth: Poses) -> tuple[Stream[PoseSequence], float, Array]:
     """Return an estimate in the world of the truth, the angle (rad) and the shift (3,) m that bring it there.
 
     One rotation about the vertical and one translation for all frames, by least squares over all joints
     (Umeyama 1991, in the horizontal plane): two systems share the vertical, not where they count from.
     """
-    true = at_times(truth, estimate.times).p_world_joint
-    known = np.isfinite(estimate.p_world_joint + true).all(axis=2)
-    p, q = estimate.p_world_joint[known], true[known]
-    if not len(p):
+    estimate, centre = Stream.of(estimate), np.empty((0, 2, 3))
+    count, sums, products = 0, np.zeros((2, 3)), np.zeros((2, 2))
+    for pair in zip(estimate.blocks(), resampled(truth, estimate.times).blocks(), strict=True):
+        both = np.stack([poses.p_world_joint.reshape(-1, 3) for poses in pair], axis=1)
+        both = both[np.isfinite(both).all(axis=(1, 2))]
+        centre = both[:1] if not len(centre) else centre  # near the means: products keep their digits
+        both = both - centre
+        count, sums, products = count + len(both), sums + both.sum(axis=0), products + both[:, 0, :2].T @ both[:, 1, :2]
+    if not count:
         return estimate, 0.0, np.zeros(3)
-    a, b = (points[:, :2] - points[:, :2].mean(axis=0) for points in (p, q))
-    angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    R = so3.about_axis("z", angle)
-    shift = q.mean(axis=0) - R @ p.mean(axis=0)
-    moved = estimate.p_world_joint @ R.T + shift
-    return replace(estimate, p_world_joint=moved, R_world_bone=R @ estimate.R_world_bone), angle, shift
+    products -= np.outer(sums[0, :2], sums[1, :2]) / count
+    angle = float(np.arctan2(products[0, 1] - products[1, 0], np.trace(products)))
+    p, p_true = centre[0] + sums / count
+    shift = p_true - so3.about_axis("z", angle) @ p
+    return _moved(estimate, angle, shift), angle, shift
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
     """Return the mean position and orientation of the truth in every frame (zero-motion baseline)."""
-    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
-    mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
-    R = truth.R_world_bone
-    known = truth.valid & np.isfinite(R).all(axis=(2, 3))
-    still = so3.nearest_rotation(np.sum(R, axis=0, where=known[..., None, None]))
-    still[~known.any(axis=0)] = np.nan
-    return PoseSequence(truth.times, np.broadcast_to(mean, p.shape), np.broadcast_to(still, R.shape), truth.names)
+    return zero_motion(Stream.of(truth)).part(ALL)
+
+
+def zero_motion(truth: Stream[PoseSequence]) -> Stream[PoseSequence]:
+    """Return the same of a truth that is read by blocks."""
+    names = truth.part(slice(0, 1)).names
+    p, R, counts = np.zeros((len(names), 3)), np.zeros((len(names), 3, 3)), np.zeros((2, len(names)))
+    for poses in truth.blocks():
+        known = poses.valid & np.isfinite(poses.R_world_bone).all(axis=(2, 3))
+        p += np.sum(poses.p_world_joint, axis=0, where=poses.valid[..., None])
+        R += np.sum(poses.R_world_bone, axis=0, where=known[..., None, None])
+        counts += np.sum([poses.valid, known], axis=1)
+    p[counts[0] == 0] = np.nan
+    p, R = p / np.maximum(counts[0], 1)[:, None], so3.nearest_rotation(R)
+    R[counts[1] == 0] = np.nan
+
+    def part(rows: slice) -> PoseSequence:
+        times = truth.times[rows]
+        every = [np.broadcast_to(one, (len(times), *one.shape)) for one in (p, R)]
+        return PoseSequence(times, every[0], every[1], names)
+
+    return Stream(truth.times, part)
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
@@ -196,7 +244,9 @@ def flexion(p: Array, skeleton: SkeletonModel) -> Array:
     out = np.full(p.shape[:2], np.nan)
     for j in hinges(skeleton):
         (child,) = kinematics.children_of(skeleton.parents, j)
-        out[:, j] = so3.angle_of(p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j])
+        before, after = p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j]
+        cross = np.linalg.norm(np.cross(before, after), axis=-1)
+        out[:, j] = np.arctan2(cross, np.sum(before * after, axis=-1))
     return out
 
 
@@ -208,17 +258,26 @@ def hinges(skeleton: SkeletonModel) -> list[int]:
 
 def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
     """Interpolate a truth at other times; NaN where it is invalid or missing. times: (T,) s."""
-    if np.array_equal(truth.times, times):
-        return truth
-    p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
-    return PoseSequence(
-        times,
-        signals.interpolate(truth.times, p, times, max_gap=1.5 / truth.rate_hz),
-        signals.interpolate_rotations(truth.times, truth.R_world_bone, times),
-        truth.names,
-    )
+    return resampled(truth, times).part(ALL)
 
 
-def _mean(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
+def resampled(truth: Poses, times: Array) -> Stream[PoseSequence]:
+    """Return the same of a truth that may be read by blocks."""
+    known = Stream.of(truth)
+    if np.array_equal(known.times, times):
+        return known
+    gap = 1.5 / known.rate_hz
+
+    def part(rows: slice) -> PoseSequence:
+        at = times[rows]
+        near = signals.within(known.times, at[0] - 2 * gap, at[-1] + 2 * gap)
+        first = min(near.start, len(known) - 1)
+        poses = known.part(slice(first, max(near.stop, first + 1)))
+        p = signals.interpolate(poses.times, np.where(poses.valid[..., None], poses.p_world_joint, np.nan), at, gap)
+        return PoseSequence(at, p, signals.interpolate_rotations(poses.times, poses.R_world_bone, at, gap), poses.names)
+
+    return Stream(times, part)
+
+
+def _ratio(total: float, count: float) -> float:
+    return float(total / count) if count else float("nan")

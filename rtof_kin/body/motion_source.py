@@ -11,8 +11,9 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.over_time import Sampled
+from rtof_kin.core.over_time import Sampled, Stream
 from rtof_kin.data.corrections import Correction
+from rtof_kin.data.poses import PoseSequence
 
 BLOCK: Final = 3600  #: Frames of a block: a minute at 60 Hz
 
@@ -98,6 +99,11 @@ class MotionSource(Sampled):
         if not 0 <= start < stop <= len(self):
             raise InvalidInputError(f"motion: no frames {start} to {stop}; it has {len(self)}")
         return self._read(start, stop, confidence)
+
+    @property
+    def poses(self) -> Stream[PoseSequence]:
+        """The poses alone."""
+        return Stream(self.times, lambda rows: self.read(*rows.indices(len(self))[:2], confidence=False).poses)
 
     def with_times(self, times: Array) -> MotionSource:
         """Return the motion at other times, without confidence. times: (T,) s."""

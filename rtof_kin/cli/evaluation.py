@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,8 +19,8 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.markers.settings import TRIALS, MarkerSettings
 
 if TYPE_CHECKING:
-    from rtof_kin.body.skeleton import Motion
-    from rtof_kin.recording.recording import Recording
+    from rtof_kin.formats.motion_views import AnyMotion
+    from rtof_kin.recording.recording import RecordingSource
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
 Root = Annotated[Path, Parameter(metavar="DIR", help="folder of the data set")]
@@ -59,33 +60,34 @@ def evaluate_motion(
     from rtof_kin.body.metrics import evaluate as measure
     from rtof_kin.body.motion_file import MotionReader
     from rtof_kin.formats.opensim import SUFFIXES
-    from rtof_kin.recording.recording import Recording
+    from rtof_kin.recording.recording import RecordingReader
 
-    with MotionReader(motion) as reader:
-        found, mode = reader.read(), reader.mode
-    if truth.suffix.lower() in (*SUFFIXES, *TRIALS):
-        _evaluate_angles(found, truth, movement, output, markers)
-        return
-    recording = Recording.load(truth)
-    if recording.truth is None:
-        raise InvalidInputError(f"{truth}: the recording has no truth to compare with")
-    poses = comparable(found.poses, recording.truth, mode)
-    moved, turn, shift = aligned_worlds(poses, recording.truth)
-    metrics, aligned = (measure(p, recording.truth, recording.skeleton) for p in (poses, moved))
-    name = mode or "motion"
-    print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
-    say(
-        f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
-        f"by {math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
-        "By joint below: not aligned."
-    )
-    print_scores(metrics.per_joint, "joint")
-    if clinical or output:
-        _evaluate_angles(found, recording, movement, output, markers)
+    with ExitStack() as closing:
+        found = closing.enter_context(MotionReader(motion))
+        if truth.suffix.lower() in (*SUFFIXES, *TRIALS):
+            _evaluate_angles(found, truth, movement, output, markers)
+            return
+        recording = closing.enter_context(RecordingReader.open(truth))
+        if (known := recording.streams.truth) is None:
+            raise InvalidInputError(f"{truth}: the recording has no truth to compare with")
+        poses = comparable(found.poses, known, found.mode)
+        moved, turn, shift = aligned_worlds(poses, known)
+        skeleton = recording.facts.skeleton
+        metrics, aligned = (replace(measure(p, known, skeleton), over_time={}) for p in (poses, moved))
+        name = found.mode or "motion"
+        print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
+        say(
+            f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
+            f"by {math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
+            "By joint below: not aligned."
+        )
+        print_scores(metrics.per_joint, "joint")
+        if clinical or output:
+            _evaluate_angles(found, recording, movement, output, markers)
 
 
 def _evaluate_angles(
-    motion: Motion, truth: Path | Recording, movement: Movement, output: Path | None, markers: MarkerSettings
+    motion: AnyMotion, truth: Path | RecordingSource, movement: Movement, output: Path | None, markers: MarkerSettings
 ) -> None:
     """Print the errors of clinical angles, and write them if asked."""
     from rtof_kin.markers.trials import motion_of_markers

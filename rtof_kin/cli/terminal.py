@@ -230,12 +230,10 @@ def print_calibration(calibration: SelfCalibration) -> None:
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
     """Score a predictor that never moves by the same code; empty without truth. `recording`: with or without truth."""
-    from rtof_kin.body.metrics import evaluate, motionless
+    from rtof_kin.body.metrics import evaluate, zero_motion
 
-    if recording.truth is None:
-        return {}
-    still = motionless(recording.truth)
-    return {"zero motion": evaluate(still, recording.truth, recording.skeleton)}
+    truth, skeleton = recording.streams.truth, recording.facts.skeleton
+    return {} if truth is None else {"zero motion": evaluate(zero_motion(truth), truth, skeleton)}
 
 
 def print_scores(scores: Mapping[str, Mapping[str, float]], of: str = "stage") -> None:

@@ -54,19 +54,20 @@ def agreement_of(curves: Sequence[tuple[str, Array, Array]]) -> Agreement:
     """
     if not curves:
         return NO_AGREEMENT
-    pairs = [(reference, reference + difference) for _, reference, difference in curves]
-    ranges = np.array([np.ptp(pair, axis=1) for pair in pairs])
+    ranges = np.array([(np.ptp(reference), np.ptp(reference + difference)) for _, reference, difference in curves])
     rmse = np.array([np.sqrt(np.mean(difference**2)) for _, _, difference in curves])
     errors = ranges[:, 1] - ranges[:, 0]
     groups = list(dict.fromkeys(group for group, _, _ in curves))
     own = [[k for k, one in enumerate(curves) if one[0] == group] for group in groups]
-    parts = [[np.concatenate([curves[k][2] for k in index]) for index in own], [errors[index] for index in own]]
-    limits = [limits_of_agreement(part) for part in parts]
+    limits = [
+        limits_of_agreement([np.concatenate([curves[k][2] for k in index]) for index in own]),
+        limits_of_agreement([errors[index] for index in own]),
+    ]
     if len(groups) == 1 and groups[0]:  # the variance between people is not known
         limits = [(bias, _NAN, _NAN) for bias, _, _ in limits]
     return Agreement(
         float(np.mean(rmse / ranges[:, 0])) if ranges[:, 0].min() > _STILL else _NAN,
-        multiple_correlation(pairs),
+        multiple_correlation((reference, reference + difference) for _, reference, difference in curves),
         float(np.mean(np.abs(errors))),
         *limits[0],
         *limits[1],
@@ -75,16 +76,18 @@ def agreement_of(curves: Sequence[tuple[str, Array, Array]]) -> Agreement:
 
 def multiple_correlation(pairs: Iterable[tuple[Array, Array]]) -> float:
     """Return the coefficient of pairs of curves (F,), in one unit; NaN where it is imaginary."""
-    both = [np.stack(pair) for pair in pairs]
-    frames = sum(one.shape[1] for one in both)
-    within = sum(float(np.sum((one - one.mean(axis=0)) ** 2)) for one in both) / frames
-    total = sum(float(np.sum((one - one.mean()) ** 2)) for one in both) / (2 * frames - len(both))
+    count, frames, within, total = 0, 0, 0.0, 0.0
+    for both in map(np.stack, pairs):
+        count, frames = count + 1, frames + both.shape[1]
+        within += float(np.sum((both - both.mean(axis=0)) ** 2))
+        total += float(np.sum((both - both.mean()) ** 2))
+    within, total = within / frames, total / (2 * frames - count)
     return float(np.sqrt(1 - within / total)) if total > 0 and within <= total else _NAN
 
 
 def limits_of_agreement(own: Sequence[Array]) -> tuple[float, float, float]:
     """Return bias, lower and upper limit of differences (n,) by group, n > 0; of one group, by its own spread alone."""
-    d = np.concatenate(own)
+    d = np.concatenate(own) if len(own) > 1 else own[0]
     n, bias = len(d), float(np.mean(d))
     if n < 2:
         return bias, _NAN, _NAN

@@ -20,9 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.clinical.agreement import NO_AGREEMENT, Agreement, agreement_of
 from rtof_kin.clinical.angle_table import SIDES
@@ -44,7 +45,8 @@ class AngleDifferences:
     movement: str  #: Class of the movement
     take: str
     difference: Array  #: (n,) rad, estimate - reference, n > 0
-    sigma: Array | None = None  #: (n,) rad, the estimate's own standard deviation; None without bands
+    sigma: NDArray[np.floating[Any]] | None = None
+    """(n,) rad, the estimate's own standard deviation; None without bands."""
     reference: Array | None = None  #: (n,) rad; None where it is not kept
     person: str = ""  #: '' where people are not known
 
@@ -109,8 +111,9 @@ def angle_differences(
             continue
         difference = (pair.a.values - pair.b.values)[0]
         known = np.isfinite(difference)
-        sigma = None if pair.a.sigma is None else pair.a.sigma[0][known]
-        own = pair.b.values[0][known]
+        sigma = None if pair.a.sigma is None else pair.a.sigma[0][known].astype(np.float32)  # as the estimate has it
+        own, whole = pair.b.values[0][known], reference[name]
+        own = whole if np.array_equal(own, whole) else own  # shared, as it may be of hours
         found.append(AngleDifferences(name, movement, take, difference[known], sigma, own))
     return tuple(found), left_out
 
@@ -118,21 +121,17 @@ def angle_differences(
 def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, movement: str = ALL) -> AngleErrors:
     """Return the errors of a set of differences, at least one."""
     own = list(differences)
-    d = np.concatenate([one.difference for one in own])
-    centred = np.concatenate([one.difference - one.difference.mean() for one in own])
-    banded = [one for one in own if one.sigma is not None]
-    size = np.concatenate([np.abs(one.difference) for one in banded]) if banded else np.empty(0)
-    sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
-    stated = np.isfinite(sigma)
+    banded = ((one.difference, sigma.astype(float)) for one in own if (sigma := one.sigma) is not None)
+    within = [(np.abs(difference) <= BAND_95 * sigma)[np.isfinite(sigma)] for difference, sigma in banded]
     curves = [(o.person, o.reference, o.difference) for o in own if o.reference is not None]
     return AngleErrors(
         angle,
         movement,
         len({one.take for one in own}),
-        len(d),
-        **error_sizes(d, centred),
-        offset=float(np.mean(d)),
-        within=float(np.mean(size[stated] <= BAND_95 * sigma[stated])) if stated.any() else float("nan"),
+        sum(len(one.difference) for one in own),
+        **error_sizes([one.difference for one in own]),
+        offset=float(np.mean(np.concatenate([one.difference for one in own]))),
+        within=float(np.mean(np.concatenate(within))) if any(map(len, within)) else float("nan"),
         agreement=agreement_of(curves),
     )
 

@@ -45,7 +45,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.over_time import Sampled
+from rtof_kin.core.over_time import BLOCK, Sampled, Stream
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.opensim import ROOT_AXES, OpenSimTable, coordinates
 from rtof_kin.formats.trial_results import AngleBlock
@@ -128,7 +128,7 @@ class ClinicalAngles(Sampled):
 
 
 def clinical_angles(
-    motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None
+    motion: Motion | MotionSource | PoseSequence | Stream[PoseSequence], skeleton: SkeletonModel | None = None
 ) -> ClinicalAngles:
     """Compute clinical joint angles from segment orientations. `InvalidInputError`: poses without a skeleton, or
     missing joints; `UnknownNameError`: the skeleton has no clinical table.
@@ -141,13 +141,15 @@ def clinical_angles(
     Returns:
         All angles of the table, radians, relative to the anatomical standing posture.
     """
-    if isinstance(motion, PoseSequence):
+    if isinstance(motion, PoseSequence | Stream):
         if skeleton is None:
             raise InvalidInputError("clinical_angles: poses do not contain a skeleton; pass theirs")
-        skeleton.check_joints(motion.names)
-        found = DecomposedAngles(skeleton, angle_table(skeleton.table), motion.times)
-        found.add(slice(None), motion, slice(None), None)
-        return angles_of(found, ObservationMasks.of_poses(motion, skeleton))
+        found, masks, start = DecomposedAngles(skeleton, angle_table(skeleton.table), motion.times), [], 0
+        for poses in Stream.of(motion).blocks(after=1):
+            found.add(slice(start, start + BLOCK), poses, slice(0, BLOCK), None)
+            masks.append(ObservationMasks.of_poses(poses, skeleton)[:BLOCK])
+            start += BLOCK
+        return angles_of(found, ObservationMasks.joined(masks))
     source = MotionSource.of(motion)
     return angles_and_paths(source, angle_table(source.skeleton.table))[0][0]
 

@@ -62,14 +62,16 @@ class CurveErrors:
     """With A as the reference."""
 
 
-def error_sizes(difference: Array, centred: Array) -> dict[str, float]:
-    """Return root mean square, mean and median size of differences (n,), and root mean square without their mean."""
-    return {
-        "rmse": float(np.sqrt(np.mean(difference**2))),
-        "mae": float(np.mean(np.abs(difference))),
-        "median": float(np.median(np.abs(difference))),
-        "offset_removed": float(np.sqrt(np.mean(centred**2))),
-    }
+def error_sizes(curves: Sequence[Array]) -> dict[str, float]:
+    """Return root mean square, mean and median size of differences (n,), at least one curve, and their root mean square
+    without the mean of each curve. In little more memory than they take, as they may be of hours.
+    """
+    d = np.concatenate(curves)
+    sizes = {"rmse": float(np.sqrt(np.mean(d**2)))}
+    sizes["mae"] = float(np.mean(np.abs(d, out=d)))
+    sizes["median"] = float(np.median(d, overwrite_input=True))
+    np.concatenate([one - one.mean() for one in curves], out=d)
+    return sizes | {"offset_removed": float(np.sqrt(np.mean(np.square(d, out=d))))}
 
 
 def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
@@ -82,7 +84,7 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
     own, other = a[known] - a[known].mean(), b[known] - b[known].mean()
     size = float(np.sqrt(np.sum(own**2) * np.sum(other**2)))
     return CurveErrors(
-        **error_sizes(difference, difference - difference.mean()),
+        **error_sizes([difference]),
         largest=float(difference[worst]),
         at=float(axis[known][worst]),
         correlation=float(np.sum(own * other) / size) if size > 1e-12 else float("nan"),

@@ -1,14 +1,20 @@
-"""`Sampled` and `OverTime`: bases of what is known, and has a row, at each of T times."""
+"""`Sampled` and `OverTime`: bases of what is known, and has a row, at each of T times; `Stream`, rows not in memory."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import numpy as np
 
+from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.environment import return_free_memory
+
+ALL: Final = slice(None)
+BLOCK: Final = 2048  #: Rows that are read at once
 
 
 class Sampled:
@@ -37,3 +43,32 @@ class OverTime(Sampled):
         """Return some rows of the fields by name."""
         own = {name: getattr(self, name) for name in ("times", *self.rows)}
         return {name: value if value is None else value[frames] for name, value in own.items()}
+
+
+Part = TypeVar("Part", bound=OverTime)
+
+
+@dataclass(frozen=True)
+class Stream(Sampled, Generic[Part]):
+    """Samples of one kind, made row by row, so that they need not be in memory."""
+
+    times: Array  #: (T,) s
+    part: Callable[[slice], Part]  #: Samples of some rows, at least one; of `ALL` they are checked as a whole
+
+    @classmethod
+    def of(cls, whole: Part | Stream[Part]) -> Stream[Part]:
+        """Return the stream of samples in memory; a stream is returned as it is."""
+        if isinstance(whole, Stream):
+            return whole
+        return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
+
+    def between(self, start_s: float, stop_s: float) -> Part | None:
+        """Return the samples in a closed interval, s; None where there are none."""
+        rows = signals.within(self.times, start_s, stop_s)
+        return self.part(rows) if rows.start < rows.stop else None
+
+    def blocks(self, after: int = 0) -> Iterator[Part]:
+        """Yield all samples in order, `BLOCK` at a time and so many after them."""
+        for start in range(0, len(self), BLOCK):
+            yield self.part(slice(start, min(start + BLOCK + after, len(self))))
+            return_free_memory()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError, UnknownNameError
+from rtof_kin.core.over_time import BLOCK, Part, Stream
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorStream
@@ -28,7 +29,6 @@ from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientat
 from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import RecordingSource
-from rtof_kin.recording.streams import BLOCK, Part, Stream
 from rtof_kin.vision.keypoints import read_detector_keypoints
 
 _STEP: Final = 1 / 60

@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import ALL, AngleErrors, angle_differences, error_rows
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles, opensim_angles
 from rtof_kin.clinical.comparison_samples import align
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, reading
+from rtof_kin.core.over_time import Stream
 from rtof_kin.datasets.public_sets import Movement
+from rtof_kin.formats.motion_views import AnyMotion
 from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.markers.trials import MarkerResult
 from rtof_kin.protocols.published import METRICS, PUBLISHED, WITHOUT_METRIC, Metric
 from rtof_kin.protocols.tables import NAME, Table
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import RecordingSource
 from rtof_kin.reporting import document
 from rtof_kin.reporting.document import Document, Figure, Section, number, subplots
 
@@ -54,14 +56,19 @@ _NOTES: Final = (
 _COLOURS: Final[dict[Metric, str]] = {"rmse": "#4c78a8", "mae": "#e08214", "median": "#2a9d5c"}
 
 
-def against_recording(motion: Motion, recording: Recording, movement: Movement = "other") -> Document:
+def against_recording(motion: AnyMotion, recording: RecordingSource, movement: Movement = "other") -> Document:
     """Compare the angles of a motion with the truth of a recording, on one clock and with one definition.
     `InvalidInputError`: the recording has no truth, or no angle is in both.
     """
-    if recording.truth is None:
+    if (truth := recording.streams.truth) is None:
         raise InvalidInputError(f"recording {recording.name}: has no truth to compare with")
-    reference = clinical_angles(all_observed(recording.truth), recording.skeleton)
-    found, left_out = angle_differences(clinical_angles(motion), reference, movement, recording.name)
+    seen = Stream(truth.times, lambda rows: all_observed(truth.part(rows)))
+    estimate = clinical_angles(motion)
+    return_free_memory()
+    reference = clinical_angles(seen, recording.facts.skeleton)
+    return_free_memory()
+    found, left_out = angle_differences(estimate, reference, movement, recording.name)
+    del estimate, reference  # the differences are as large
     if not found:
         raise InvalidInputError(f"recording {recording.name}: no angle of its truth is observed in the motion")
     names = [name for name, reason in left_out.items() if "estimate" in reason]
@@ -71,7 +78,7 @@ def against_recording(motion: Motion, recording: Recording, movement: Movement =
     return angle_document(error_rows(found, [movement]), title, headline, notes)
 
 
-def against_opensim(motion: Motion, path: Path, movement: Movement = "other", reach: float = 1.0) -> Document:
+def against_opensim(motion: AnyMotion, path: Path, movement: Movement = "other", reach: float = 1.0) -> Document:
     """Compare with OpenSim's coordinates, whose zeros are those of their model; the clocks are aligned.
 
     The file is a ``.mot`` or ``.sto``; differences of the clocks up to `reach`, s, are searched. `FileFormatError`: no
@@ -82,7 +89,7 @@ def against_opensim(motion: Motion, path: Path, movement: Movement = "other", re
     return _with_other_clock(motion, reference, path, movement, reach)
 
 
-def against_markers(motion: Motion, path: Path, trial: MarkerResult, movement: Movement = "other") -> Document:
+def against_markers(motion: AnyMotion, path: Path, trial: MarkerResult, movement: Movement = "other") -> Document:
     """Compare with the motion of a marker trial, whose clock may differ by any time; `path`: of the trial, for names.
     `InvalidInputError`: no angle is in both at the same time.
     """
@@ -90,7 +97,12 @@ def against_markers(motion: Motion, path: Path, trial: MarkerResult, movement: M
 
 
 def _with_other_clock(
-    motion: Motion, reference: ClinicalAngles, path: Path, movement: Movement, reach: float, notes: Sequence[str] = ()
+    motion: AnyMotion,
+    reference: ClinicalAngles,
+    path: Path,
+    movement: Movement,
+    reach: float,
+    notes: Sequence[str] = (),
 ) -> Document:
     """Compare with angles of another clock, differences of which up to `reach`, s, are searched."""
     estimate = clinical_angles(motion)

@@ -16,6 +16,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.over_time import Stream
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.camera_motion import CameraMotion, still_camera_of, turned
 from rtof_kin.data.keypoints import KeypointSequence
@@ -24,7 +25,7 @@ from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.tables import phone_files, read_phone
 from rtof_kin.inertial.orientation import HELD, held_of_gravity, motion_of_gyroscope
-from rtof_kin.recording.streams import Source, Stream, Table, csv_names, data_path, naming, needed, times_of
+from rtof_kin.recording.streams import Source, Table, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import (
     OWN_LAYOUT,
     RECOGNISE,

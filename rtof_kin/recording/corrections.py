@@ -11,10 +11,11 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.core.over_time import Part, Stream
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence, detector_point, layout_and_point
-from rtof_kin.recording.streams import Part, Stream, Streams
+from rtof_kin.recording.streams import Streams
 from rtof_kin.vision.layouts import mirrored
 
 _STREAMS: Final = ("all", "image", "sensors")  #: What is left out as a whole

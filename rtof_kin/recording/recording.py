@@ -30,6 +30,7 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.over_time import ALL, Part, Stream
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -50,7 +51,7 @@ from rtof_kin.recording.index import (
 )
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import IMUS, calibration_table, imu_arrays
-from rtof_kin.recording.streams import ALL, Part, Source, Stream, Streams, naming
+from rtof_kin.recording.streams import Source, Streams, naming
 from rtof_kin.vision.layouts import is_detector_point
 from rtof_kin.vision.lift_points import LiftPoints
 

@@ -20,6 +20,7 @@ from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.text import beginning
+from rtof_kin.core.over_time import ALL, Stream
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import CHOICES, SensorLog
 from rtof_kin.formats.sensors.files import format_of, read_sensor_log
@@ -27,7 +28,7 @@ from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.formats.sensors.sensor_text import cells
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment
-from rtof_kin.recording.streams import ALL, Source, Stream, csv_names, data_path, naming, needed, times_of
+from rtof_kin.recording.streams import Source, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import OF_MAKERS, ImusTable, SensorTable
 
 IMUS: Final = "imus.npz"  #: File of a recording's sensors that this package writes

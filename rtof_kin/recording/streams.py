@@ -1,58 +1,27 @@
-"""`Stream`: samples of one kind in a recording, made row by row, so that they need not be in memory."""
+"""`Streams`: all samples of a recording, and `Source`, which reads their files block by block."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
-from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError, reading
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
+from rtof_kin.core.over_time import ALL, BLOCK, Part, Stream
 from rtof_kin.data.imu import ImuSequence, UnitCheck
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
-
-Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence, MarkerSequence)
-ALL: Final = slice(None)
-BLOCK: Final = 2048  #: Rows that are checked at once
-
-
-@dataclass(frozen=True)
-class Stream(Generic[Part]):
-    """Samples of one kind in a recording."""
-
-    times: Array  #: (T,) s
-    part: Callable[[slice], Part]  #: Samples of some rows, at least one; of `ALL` they are checked as a whole
-
-    @classmethod
-    def of(cls, whole: Part) -> Stream[Part]:
-        """Return the stream of samples in memory."""
-        return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def between(self, start_s: float, stop_s: float) -> Part | None:
-        """Return the samples in a closed interval, s; None where there are none."""
-        rows = signals.within(self.times, start_s, stop_s)
-        return self.part(rows) if rows.start < rows.stop else None
-
-    def blocks(self) -> Iterator[Part]:
-        """Yield all samples in order."""
-        for start in range(0, len(self), BLOCK):
-            yield self.part(slice(start, min(start + BLOCK, len(self))))
 
 
 @dataclass(frozen=True)
@@ -142,13 +111,12 @@ class Source:
 
     def keep(self, whole: Part) -> Stream[Part]:
         """Return the stream of samples that could only be read as a whole."""
-        own = {one.name: getattr(whole, one.name) for one in fields(whole)}
-        kept = self._kept([{name: array for name, array in own.items() if isinstance(array, np.ndarray)}])
+        kept = self._kept([{name: array for name, array in whole.cut(ALL).items() if isinstance(array, np.ndarray)}])
         first = whole[:1]  # nothing here holds the whole
 
         def part(rows: slice) -> Part:
             some: dict[str, Any] = {name: array[rows] for name, array in kept.items()}
-            return replace(first, **some)
+            return replace(first, **some)  # type: ignore[type-var]
 
         return Stream(whole.times, part)
 

@@ -20,6 +20,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
+from rtof_kin.core.over_time import Stream
 from rtof_kin.core.signals import interpolate, runs
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import STANDARD_GRAVITY, ImuSequence
@@ -40,7 +41,6 @@ from rtof_kin.inertial.physics import SIGNALS, check_log
 from rtof_kin.recording import body_checks as bodies
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import RecordingReader
-from rtof_kin.recording.streams import Stream
 from rtof_kin.reporting.document import ESTIMATE, TRUTH, subplots
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit

@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import metrics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import over_time
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.over_time import ALL, Stream
 from rtof_kin.data.poses import PoseSequence
 
 Array = NDArray[np.float64]
@@ -36,17 +38,21 @@ def shifted(poses: PoseSequence, by: ArrayLike) -> PoseSequence:
     return replace(poses, p_world_joint=poses.p_world_joint + np.asarray(by))
 
 
-def evaluate(estimate: PoseSequence, truth: PoseSequence) -> metrics.Metrics:
+def evaluate(estimate: metrics.Poses, truth: PoseSequence) -> metrics.Metrics:
     return metrics.evaluate(estimate, truth, BODY)
+
+
+def whole(poses: metrics.Poses) -> PoseSequence:
+    return Stream.of(poses).part(ALL)
 
 
 def test_estimate_of_mode_imu_is_shifted_to_the_first_common_frame(truth: PoseSequence) -> None:
     drifting = shifted(truth, [5.0, -3.0, 1.0] + 0.1 * TIME * DIRECTION)
-    error = metrics.comparable(drifting, truth, "imu").p_world_joint - truth.p_world_joint
+    error = whole(metrics.comparable(drifting, truth, "imu")).p_world_joint - truth.p_world_joint
     np.testing.assert_allclose(error, np.broadcast_to(0.1 * TIME * DIRECTION, error.shape), atol=1e-12)
     p, valid = np.array(truth.p_world_joint), np.array(truth.valid)
     p[:3], valid[3:5] = np.nan, False
-    prepared = metrics.comparable(drifting, replace(truth, p_world_joint=p, valid=valid), "imu")
+    prepared = whole(metrics.comparable(drifting, replace(truth, p_world_joint=p, valid=valid), "imu"))
     np.testing.assert_allclose(prepared.p_world_joint[5], truth.p_world_joint[5], atol=1e-12)
     invalid = replace(truth, valid=np.zeros_like(valid))
     assert metrics.comparable(drifting, invalid, "imu") is drifting
@@ -293,3 +299,27 @@ def test_frames_with_invalid_truth_are_not_scored(shift: float) -> None:
     assert scores["mpjje"] == pytest.approx(0.0, abs=1e-6)
     assert np.isnan(scores.over_time["joint_mm"][20:24]).all()
     assert np.abs(metrics.motionless(glitched).p_world_joint[0, 3] - p[0, 3]).max() < 0.5
+
+
+@pytest.mark.parametrize("later", [0.0, 0.004])
+def test_metrics_by_blocks_are_those_of_the_whole(
+    truth: PoseSequence, later: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(3)
+    p, valid = truth.p_world_joint + rng.normal(0, 0.02, (T, J, 3)), np.ones((T, J), dtype=bool)
+    p[11:14], valid[20:23, 4] = np.nan, False
+    estimate, known = (
+        replace(shifted(truth, 0), p_world_joint=p),
+        replace(truth, valid=valid, times=truth.times + later),
+    )
+    found = []
+    for block in (T, 7):
+        monkeypatch.setattr(over_time, "BLOCK", block)
+        monkeypatch.setattr(metrics, "BLOCK", block)
+        begun = metrics.comparable(estimate, known, "imu")
+        moved, angle, shift = metrics.aligned_worlds(begun, known)
+        scores = [evaluate(one, known) for one in (estimate, begun, moved, metrics.motionless(known))]
+        found.append([angle, *shift, *(value for one in scores for value in one.values())])
+        found[-1] += [value for one in scores for series in one.over_time.values() for value in series.ravel()]
+        found[-1] += [value for one in scores for row in one.per_joint.values() for value in row.values()]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-12)

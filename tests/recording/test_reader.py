@@ -167,6 +167,7 @@ def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 def both(folder: Path) -> Iterator[tuple[Recording, RecordingReader]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rtof_kin.recording.streams.BLOCK", 128)
+        patch.setattr("rtof_kin.core.over_time.BLOCK", 128)
         with RecordingReader.open(folder) as reader:
             yield Recording.load(folder), reader
 
@@ -245,6 +246,7 @@ def test_errors_count_samples_from_the_start_of_the_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, array: str, rows: Any, value: Any, message: str
 ) -> None:
     monkeypatch.setattr("rtof_kin.recording.streams.BLOCK", 128)
+    monkeypatch.setattr("rtof_kin.core.over_time.BLOCK", 128)
     folder = tmp_path / "recording"
     demo().save(folder)
     with np.load(folder / file) as saved:

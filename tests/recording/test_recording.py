@@ -26,13 +26,13 @@ from rtof_kin.core.errors import (
     UnknownNameError,
 )
 from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.core.over_time import BLOCK
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.recording.index import INDEX, Session
 from rtof_kin.recording.recording import Recording, RecordingReader
-from rtof_kin.recording.streams import BLOCK
 from rtof_kin.vision.lift_points import LiftPoints, convention
 
 SKELETON = SkeletonModel.default()
