@@ -359,7 +359,7 @@ def human36m_corpus(
         motion = data.motion(subject, action)
         p, offsets = motion.p_world_joint, motion.joint_offsets
         R = kinematics.rotations_from_positions(parents, offsets, p)
-        poses = PoseSequence(np.arange(len(p)) / motion.rate_hz, p, R, names)
+        poses = PoseSequence(np.arange(len(p)) / human36m.RATE_HZ, p, R, names)
         return _pieces(Path(root), (subject, action), poses, offsets, parents)
 
     takes = [take for take in data.sequences if take[0] in human36m.SUBJECTS_TRAIN]

@@ -45,8 +45,9 @@ class PeoplePages(Frame):
                 with self.row():
                     self.link(person)
                     self.ui.label(self.height(person))
-                    for state, count in self._states(person).items():
-                        self.badge(state, count)
+                    counts = Counter(self.store.take(path).state for path in self.store.takes(person))
+                    for state in filter(counts.get, State):
+                        self.badge(state, counts[state])
                     self.delete(show, person)
             if not self.store.names():
                 self.ui.label(TEXTS.no_people)
@@ -135,11 +136,6 @@ class PeoplePages(Frame):
 
         with self.frame(TEXTS.trash):
             self.shown(self.store.trash, rows)
-
-    def _states(self, person: str) -> dict[State, int]:
-        """How many recordings of a person are in each state."""
-        found = Counter(self.store.take(path).state for path in self.store.takes(person))
-        return {state: found[state] for state in State if found[state]}
 
     def _add_recording(self, person: str, visit: str) -> None:
         def add() -> None:

@@ -54,7 +54,8 @@ class ReviewPages(Frame):
 
                 self.shown(look, lambda show: self._made(folder, show))
                 self._form(folder)
-            if not _written(folder):
+            page, motion = folder / REVIEW, folder / MOTION / MOTION_FILE
+            if not page.is_file() or page.stat().st_mtime < motion.stat().st_mtime:  # or it is of an earlier result
                 told = self.ui.label(TEXTS.being_made).props("role=status")
                 await self.ui.context.client.connected()  # what is above is shown meanwhile
                 await self.made(folder, write_review, folder)
@@ -132,12 +133,6 @@ class ReviewPages(Frame):
     def _solve(self, folder: Path) -> None:
         self.work.ask(folder)
         self.ui.navigate.to(self.page_of(folder))
-
-
-def _written(folder: Path) -> bool:
-    """Return whether the page of the result is there, and of this result."""
-    page, motion = folder / REVIEW, folder / MOTION / MOTION_FILE
-    return page.is_file() and page.stat().st_mtime >= motion.stat().st_mtime
 
 
 def _waits(folder: Path) -> bool:

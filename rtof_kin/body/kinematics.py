@@ -180,6 +180,19 @@ def to_shared(R_bone_shared: Array, parents: Sequence[int], offsets: Array) -> A
     return np.asarray(np.einsum("jba,jb->ja", above, offsets))
 
 
+def hip_centres(left_asis: Array, right_asis: Array, back: Array) -> tuple[Array, Array]:
+    """Return the left and the right hip joint centre (..., 3), m, by the simple regressions of Harrington et al. (2007,
+    J. Biomech. 40) from the iliac spines, the hind ones by their middle, (..., 3) m in any axes.
+    """
+    front, across = (left_asis + right_asis) / 2, so3.unit(left_asis - right_asis)
+    width, depth = (np.linalg.norm(way, axis=-1, keepdims=True) for way in (left_asis - right_asis, front - back))
+    forward = so3.unit(front - back - np.sum((front - back) * across, axis=-1, keepdims=True) * across)
+    up = np.cross(forward, across)
+    middle = front - (0.24 * depth + 0.0099) * forward - (0.30 * width + 0.0109) * up
+    out = (0.33 * width + 0.0073) * across
+    return middle + out, middle - out
+
+
 def _pelvis(left_hip: Array, right_hip: Array, lumbar: Array) -> Array:
     """Frame (3, 3) with y from hip to hip and the lumbar joint at `LUMBAR_PITCH`."""
     up = lumbar - (left_hip + right_hip) / 2

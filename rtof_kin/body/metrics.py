@@ -244,9 +244,7 @@ def flexion(p: Array, skeleton: SkeletonModel) -> Array:
     out = np.full(p.shape[:2], np.nan)
     for j in hinges(skeleton):
         (child,) = kinematics.children_of(skeleton.parents, j)
-        before, after = p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j]
-        cross = np.linalg.norm(np.cross(before, after), axis=-1)
-        out[:, j] = np.arctan2(cross, np.sum(before * after, axis=-1))
+        out[:, j] = so3.angle_of(p[:, j] - p[:, skeleton.parents[j]], p[:, child] - p[:, j])
     return out
 
 

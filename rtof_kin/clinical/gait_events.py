@@ -121,10 +121,7 @@ def _maxima(times: Array, ahead: Array, rate_hz: float) -> Array:
         stretch = smoothed(ahead[start:stop], rate_hz, CUTOFF_HZ)
         distance = max(1, round(LEAST_STRIDE * rate_hz))
         for peak in find_peaks(stretch, distance=distance, prominence=LEAST_SWING)[0]:
-            before, at, after = stretch[peak - 1 : peak + 2]
-            curvature = before - 2 * at + after
-            shift = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
-            at = start + peak
+            shift, at = signals.vertex(*stretch[peak - 1 : peak + 2]), start + peak
             found.append(float(np.interp(shift, [-1, 0, 1], times[at - 1 : at + 2])))
     return np.array(found)
 

@@ -77,6 +77,11 @@ def unit(v: ArrayLike) -> Array:
     return np.asarray(np.divide(v, norm, out=np.zeros_like(v), where=norm > 0))
 
 
+def angle_of(a: Array, b: Array) -> Array:
+    """Return the angle (...), rad, between directions (..., 3), precise also near 0 and pi."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
 def angle_about(axis: Array, R: Array) -> float:
     """Return the angle of a rotation about a given axis, in [-pi, pi]; axis: (3,) unit vector. R: (3, 3)."""
     sine = axis @ [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]

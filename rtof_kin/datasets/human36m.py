@@ -24,7 +24,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import readonly
+from rtof_kin.core.checks import freeze
 from rtof_kin.core.errors import CalibrationError, FileFormatError, RtofError, UnitError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -56,12 +56,9 @@ class ActionMotion:
     action: str  #: Name in the archive, e.g. 'Directions 1'.
     p_world_joint: Array  #: (T, 17, 3) m, world z up; NaN where unknown
     joint_offsets: Array  #: (17, 3) m, the same in all of the subject's actions; see `measured_offsets`
-    rate_hz: float = RATE_HZ  #: Frames per second
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "p_world_joint", readonly("p_world_joint", self.p_world_joint, ("T", 17, 3)))
-        set_(self, "joint_offsets", readonly("joint_offsets", self.joint_offsets, (17, 3)))
+        freeze(self, "action", p_world_joint=("T", 17, 3), joint_offsets=(17, 3))
 
 
 class Human36M(Archives):
@@ -113,7 +110,7 @@ class Human36M(Archives):
         frames = min(len(uv), len(motion.p_world_joint))
         p, uv, skeleton = motion.p_world_joint[:frames], uv[:frames], self.skeleton
         R = kinematics.rotations_from_positions(skeleton.parents, motion.joint_offsets, p)
-        times, observed = np.arange(frames) / motion.rate_hz, skeleton.orientation_observed()
+        times, observed = np.arange(frames) / RATE_HZ, skeleton.orientation_observed()
         truth = PoseSequence(times, p, R, skeleton.names, orientation_observed=observed)
         seen: Array = np.asarray(np.isfinite(uv).all(axis=-1), dtype=np.float64)
         return Recording(

@@ -16,6 +16,7 @@ from typing import ClassVar, Final, Literal, get_args
 
 import numpy as np
 
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError, reading
@@ -166,35 +167,9 @@ def hinge_table(times: Array, centres: Mapping[str, Array]) -> OpenSimTable:
     out.
     """
     found = {
-        name: _flexion(*(centres[joint] for joint in joints))
-        for name, joints in HINGES.items()
-        if all(joint in centres for joint in joints)
+        name: so3.angle_of(centres[at] - centres[before], centres[after] - centres[at])
+        for name, (before, at, after) in HINGES.items()
+        if centres.keys() >= {before, at, after}
     }
     values = np.stack(list(found.values()), axis=1) if found else np.empty((len(times), 0))
     return OpenSimTable(times, tuple(found), values, in_degrees=False)
-
-
-def _flexion(before: Array, at: Array, after: Array) -> Array:
-    upper, lower = at - before, after - at
-    cross = np.linalg.norm(np.cross(upper, lower), axis=-1)
-    return np.asarray(np.arctan2(cross, np.sum(upper * lower, axis=-1)))
-
-
-def hip_centres(markers: Mapping[str, Array]) -> dict[str, Array]:
-    """Return both hip centres (T, 3) m from the pelvis (simple regressions of Harrington et al., J Biomech 40, 2007).
-
-    Markers are 'right_asis', 'left_asis', 'right_psis', 'left_psis' -> (T, 3) m, in any axes.
-    """
-    front = (markers["right_asis"] + markers["left_asis"]) / 2
-    back = (markers["right_psis"] + markers["left_psis"]) / 2
-    to_right = markers["right_asis"] - markers["left_asis"]
-    width = np.linalg.norm(to_right, axis=-1, keepdims=True)
-    right = to_right / width
-    forward = front - back
-    depth = np.linalg.norm(forward, axis=-1, keepdims=True)
-    forward = forward - np.sum(forward * right, axis=-1, keepdims=True) * right
-    forward = forward / np.linalg.norm(forward, axis=-1, keepdims=True)
-    up = np.cross(right, forward)
-    middle = front - (0.24 * depth + 0.0099) * forward - (0.30 * width + 0.0109) * up
-    out = (0.33 * width + 0.0073) * right
-    return {"right_hip": middle + out, "left_hip": middle - out}

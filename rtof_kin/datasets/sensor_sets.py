@@ -37,22 +37,14 @@ from typing import ClassVar, Final
 import numpy as np
 from pydantic import ConfigDict
 
+from rtof_kin.body.kinematics import hip_centres
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.input_table import InputTable, Number
 from rtof_kin.core.files.text import load_json, measurable, numbers_of, read_text
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.datasets.public_sets import (
-    PublicSet,
-    Take,
-    TakeInputs,
-    Truth,
-    existing,
-    hinge_table,
-    hip_centres,
-    orientation_log,
-)
+from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, existing, hinge_table, orientation_log
 from rtof_kin.formats.opensim import read_opensim_table
 
 BODIES: Final = ("pelvis", "torso", "femur_r", "femur_l", "tibia_r", "tibia_l", "calcn_r", "calcn_l")
@@ -110,7 +102,9 @@ class Gaitex(PublicSet):
         )
         times, points = read_markers(path)
         centres = {name: _point(path, points, markers) for name, markers in _MARKERS.items()}
-        table = hinge_table(times, hip_centres(centres) | centres)
+        back = (centres["right_psis"] + centres["left_psis"]) / 2
+        hips = hip_centres(centres["left_asis"], centres["right_asis"], back)
+        table = hinge_table(times, dict(zip(("left_hip", "right_hip"), hips, strict=True)) | centres)
         return Truth(table, table.names, "angles between joint centres of optical markers", reach=0.5)
 
 

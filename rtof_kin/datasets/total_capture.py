@@ -340,8 +340,7 @@ def _check_start(take: Take) -> Iterator[Check]:
     children = skeleton.index(*_T_POSE_BONES)
     bones = p[children] - p[[skeleton.parents[child] for child in children]]
     expected = skeleton.joint_offsets[children] @ R_world_t_pose.T
-    sin = np.linalg.norm(np.cross(bones, expected), axis=-1)
-    angles = np.degrees(np.arctan2(sin, np.sum(bones * expected, axis=-1)))
+    angles = np.degrees(so3.angle_of(bones, expected))
     worst = int(np.argmax(angles))  # the first NaN, if there is one
     bone = f"{skeleton.names[skeleton.parents[children[worst]]]} to {_T_POSE_BONES[worst]}"
     name = f"largest angle of a limb from the T-pose at frame 0 ({bone})"

@@ -16,14 +16,14 @@ from typing import Final
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import UnknownNameError
 
-
-def _by_word(words: dict[str, list[str]]) -> dict[str, str]:
-    """Word, or words, -> what they mean."""
-    return {word: meaning for meaning, given in words.items() for word in given}
-
-
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_SIDES, _MIDDLE, _LIMBS, _HUMAN36M = (_by_word(_TABLES[name]) for name in ("sides", "middle", "limbs", "human36m"))
+_TABLES: Final[dict[str, dict[str, list[str]]]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
+_SIDES, _MIDDLE, _LIMBS, _HUMAN36M = (
+    {word: meaning for meaning, words in _TABLES[name].items() for word in words}
+    for name in ("sides", "middle", "limbs", "human36m")
+)
+"""Word, or words, -> what they mean."""
 _SAME: Final = {"upper": "up", "lower": "low"}
 _IDLE = frozenset({"imu", "sensor", "segment"})  # Words that say nothing about the place
 _SERIAL: Final = re.compile(r"(?=.*\d)[0-9A-Fa-f]{8}")

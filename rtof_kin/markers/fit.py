@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -358,18 +359,9 @@ class _BodyFit:
         back = [at[name] for name in ("left psis", "right psis") if name in at] or [at.get("sacrum")]
         if "left asis" not in at or "right asis" not in at or back[0] is None:
             return np.zeros(0)
-        left, right, back = at["left asis"], at["right asis"], np.mean(back, axis=0)
-        front = (left + right) / 2
-        width, depth = np.linalg.norm(left - right), np.linalg.norm(front - back)
-        across = (left - right) / width
-        forward = so3.unit(front - back - ((front - back) @ across) * across)
-        up = np.cross(forward, across)
-        out = []
-        for side, sign in (("Left", 1), ("Right", -1)):
-            regressed = front - (0.24 * depth + 0.0099) * forward - (0.30 * width + 0.0109) * up
-            regressed = regressed + sign * (0.33 * width + 0.0073) * across
-            out.append(self.model.offsets[self.skeleton.names.index(side + "UpLeg")] - regressed)
-        return np.concatenate(out) / _HIP
+        regressed = kinematics.hip_centres(at["left asis"], at["right asis"], np.mean(back, axis=0))
+        hips = self.model.offsets[self.skeleton.index("LeftUpLeg", "RightUpLeg")]
+        return np.asarray((hips - regressed).ravel() / _HIP)
 
     def _energy(self, x: Array, y: Array) -> float:
         hips = self._hips(y)  # which sets the body

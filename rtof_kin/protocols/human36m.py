@@ -97,49 +97,44 @@ class Human36MProtocol(CameraProtocol):
         return JobResult(facts | {"failed_checks": [], "notes": notes}, curves(recording, results, "RKnee"))
 
     def tables(self, outcome: Outcome) -> list[Table]:
-        """See `CameraProtocol.tables`."""
-        return all_tables(self, outcome)
+        """Return the paper's table with ours, and one of missing and suspicious data."""
+        rows = list(rows_of(outcome))
+        printed: list[tuple[Cell, ...]] = [
+            (name, mpjpe, mpjae, mpjje, None, None) for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
+        ]
+        figures = ("mpjpe_rr_mm", "mpjae_frame_mm", "mpjje_frame_mm", "mpjpe_pa_mm", "mpjpe_mm")
+        for name in (*[mode for mode in CAMERA_MODES if mode in self.modes], STILL):
+            own = [row for row in rows if row["method"] == name]
+            label = name if name == STILL else f"{name}, ours"
+            printed.append((label, *(pooled(own, figure) for figure in figures)))
+        frames = sum(row["frames"] for row in rows if row["method"] == STILL)
+        kind = "ground-truth 2D" if self.keypoints == "gt" else f"2D of {self.keypoints}"
+        notes = [
+            f"Ours: {', '.join(self.subjects)}, cameras {', '.join(map(str, self.cameras))}, {frames} frames, all "
+            f"pooled; {kind}; lifter: {self.lifter.name}. The printed rows have detected 2D.",
+            *published.HUMAN36M_CAVEATS,
+        ]
+        found = {job.subject for job in self.jobs().values()}
+        absent = [subject for subject in self.subjects if subject not in found]
+        if lacking := [
+            *([f"{len(outcome.failed)} recordings"] if outcome.failed else []),
+            *(f"any of {s}" for s in absent),
+        ]:
+            notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
+        columns = ["method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
+        columns += ["Procrustes [mm]", "absolute [mm]"]
+        table = Table("human36m", "Human3.6M, vision alone", columns, (0, 1, 2, 2, 1, 1), printed, notes)
+        state: list[tuple[Cell, ...]] = [
+            (subject, "not measured", "the archive of positions has no such subject") for subject in absent
+        ]
+        state += [(key, "not measured", problem) for key, problem in outcome.failed.items()]
+        for key, facts in outcome.done.items():
+            state += [(key, "note", note) for note in facts["notes"]]
+        title = "Human3.6M: missing, suspicious"
+        about = Table("state_of_data", title, ("recording", "what", "message"), (0, 0, 0), state)
+        return [table, about] if state else [table]
 
 
 @lru_cache(maxsize=1)
 def _dataset(root: Path, cameras: Path | None, keypoints: str) -> Human36M:
     return Human36M(root, cameras, keypoints)
-
-
-def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
-    """Return the paper's table with ours, and one of missing and suspicious data."""
-    rows = list(rows_of(outcome))
-    printed: list[tuple[Cell, ...]] = [
-        (name, mpjpe, mpjae, mpjje, None, None) for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
-    ]
-    figures = ("mpjpe_rr_mm", "mpjae_frame_mm", "mpjje_frame_mm", "mpjpe_pa_mm", "mpjpe_mm")
-    for name in (*[mode for mode in CAMERA_MODES if mode in protocol.modes], STILL):
-        own = [row for row in rows if row["method"] == name]
-        label = name if name == STILL else f"{name}, ours"
-        printed.append((label, *(pooled(own, figure) for figure in figures)))
-    frames = sum(row["frames"] for row in rows if row["method"] == STILL)
-    kind = "ground-truth 2D" if protocol.keypoints == "gt" else f"2D of {protocol.keypoints}"
-    notes = [
-        f"Ours: {', '.join(protocol.subjects)}, cameras {', '.join(map(str, protocol.cameras))}, {frames} frames, all "
-        f"pooled; {kind}; lifter: {protocol.lifter.name}. The printed rows have detected 2D.",
-        *published.HUMAN36M_CAVEATS,
-    ]
-    found = {job.subject for job in protocol.jobs().values()}
-    absent = [subject for subject in protocol.subjects if subject not in found]
-    if lacking := [
-        *([f"{len(outcome.failed)} recordings"] if outcome.failed else []),
-        *(f"any of {s}" for s in absent),
-    ]:
-        notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
-    columns = ["method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
-    columns += ["Procrustes [mm]", "absolute [mm]"]
-    table = Table("human36m", "Human3.6M, vision alone", columns, (0, 1, 2, 2, 1, 1), printed, notes)
-    state: list[tuple[Cell, ...]] = [
-        (subject, "not measured", "the archive of positions has no such subject") for subject in absent
-    ]
-    state += [(key, "not measured", problem) for key, problem in outcome.failed.items()]
-    for key, facts in outcome.done.items():
-        state += [(key, "note", note) for note in facts["notes"]]
-    title = "Human3.6M: missing, suspicious"
-    about = Table("state_of_data", title, ("recording", "what", "message"), (0, 0, 0), state)
-    return [table, about] if state else [table]

@@ -156,8 +156,15 @@ class TotalCaptureProtocol(CameraProtocol):
         return _reference(take) if job.camera is None else _seen_by(self, take, job, job.camera)
 
     def tables(self, outcome: Outcome) -> list[Table]:
-        """See `CameraProtocol.tables`."""
-        return all_tables(self, outcome)
+        """Return every table for which something was measured, and one of missing and suspicious data."""
+        rows = list(rows_of(outcome))
+        tables = [part(self, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
+        if len(self.posture) > 1 and _optimised(self):
+            tables.append(_by_posture(self, rows))
+        if self.studies and "rtof" in self.modes:
+            tables += _studied(rows)
+        state = _state_of_data(self, outcome)
+        return [*tables, state] if state.rows else tables
 
 
 @lru_cache(maxsize=1)
@@ -318,18 +325,6 @@ _AS_PRINTED = (
     "Ours here: the energy as printed with a weak prior on positions (CartesianSettings.paper()), from "
     "the poses of sf2; the other tables have the default settings."
 )
-
-
-def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
-    """Return every table for which something was measured, and one of missing and suspicious data."""
-    rows = list(rows_of(outcome))
-    tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
-    if len(protocol.posture) > 1 and _optimised(protocol):
-        tables.append(_by_posture(protocol, rows))
-    if protocol.studies and "rtof" in protocol.modes:
-        tables += _studied(rows)
-    state = _state_of_data(protocol, outcome)
-    return [*tables, state] if state.rows else tables
 
 
 def _by_take(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:

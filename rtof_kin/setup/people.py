@@ -140,10 +140,8 @@ def choose_person(people: People, number: int | None, picture: str) -> int:
             )
         return 1
     if not 1 <= number <= len(people):
-        known = [n for n in range(1, len(people) + 1)]
-        raise InvalidInputError(
-            f"--person {number}: there is no such person; look at {picture} and choose {_options(known)}"
-        )
+        known = _options(range(1, len(people) + 1))
+        raise InvalidInputError(f"--person {number}: there is no such person; look at {picture} and choose {known}")
     return number
 
 

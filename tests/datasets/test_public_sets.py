@@ -11,10 +11,11 @@ import public_sets as made
 import pytest
 from public_sets import known
 
+from rtof_kin.body.kinematics import hip_centres
 from rtof_kin.clinical.angles import opensim_angles
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.datasets.marker_sets import CENTRES, SIZE_PX, Movi, OpenCapValidation
-from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, hinge_table, hip_centres
+from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, hinge_table
 from rtof_kin.datasets.sensor_sets import Gaitex, Vidimu
 from rtof_kin.formats.cameras import read_camera
 
@@ -155,16 +156,10 @@ def test_gaitex_has_the_planted_sensors_pose_and_flexion(tmp_path: Path) -> None
 
 def test_hip_centres_are_those_of_the_published_regressions() -> None:
     # Pelvis of 240 mm between the anterior and 140 mm between front and back markers, level, facing x.
-    points = {
-        "right_asis": [0.0, -0.12, 0.0],
-        "left_asis": [0.0, 0.12, 0.0],
-        "right_psis": [-0.14, -0.05, 0.0],
-        "left_psis": [-0.14, 0.05, 0.0],
-    }
-    found = hip_centres({name: np.array([p]) for name, p in points.items()})
+    left, right = hip_centres(*(np.array([p]) for p in ([0.0, 0.12, 0.0], [0.0, -0.12, 0.0], [-0.14, 0.0, 0.0])))
     behind, below, beside = 0.24 * 140 + 9.9, 0.30 * 240 + 10.9, 0.33 * 240 + 7.3
-    np.testing.assert_allclose(1000 * found["right_hip"], [[-behind, -beside, -below]])
-    np.testing.assert_allclose(1000 * found["left_hip"], [[-behind, beside, -below]])
+    np.testing.assert_allclose(1000 * right, [[-behind, -beside, -below]])
+    np.testing.assert_allclose(1000 * left, [[-behind, beside, -below]])
 
 
 def test_a_straight_limb_has_no_flexion_and_a_right_angle_ninety_degrees() -> None:

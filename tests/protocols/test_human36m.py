@@ -19,7 +19,7 @@ from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
 from rtof_kin.protocols import published, run
-from rtof_kin.protocols.human36m import Human36MProtocol, all_tables
+from rtof_kin.protocols.human36m import Human36MProtocol
 from rtof_kin.protocols.tables import STILL, Table
 
 SUBJECTS = ("S9", "S11")
@@ -59,7 +59,7 @@ def protocol(root: Path, lifter: Path, **changed: Any) -> Human36MProtocol:
 
 def table_of(about: Human36MProtocol, outcome: Outcome) -> dict[str, Table]:
     """Both tables by name."""
-    return {table.name: table for table in all_tables(about, outcome)}
+    return {table.name: table for table in about.tables(outcome)}
 
 
 @pytest.fixture(scope="module")

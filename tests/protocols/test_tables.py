@@ -15,7 +15,7 @@ from protocol_support import row
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled
-from rtof_kin.protocols.total_capture import TotalCaptureProtocol, all_tables
+from rtof_kin.protocols.total_capture import TotalCaptureProtocol
 
 FRAMES = {
     "walking2": (3189, 3575, 3239, 3376, 3738),
@@ -70,7 +70,7 @@ def tables_of(
 ) -> dict[str, Table]:
     """Every table by its name."""
     outcome = Outcome(Path("nowhere"), done, failed or {})
-    return {table.name: table for table in all_tables(about, outcome)}
+    return {table.name: table for table in about.tables(outcome)}
 
 
 def test_an_average_over_frames_reproduces_that_of_the_paper() -> None:

@@ -23,14 +23,7 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.total_capture import TotalCapture
 from rtof_kin.protocols import Measured, measures, published, run, total_capture
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table
-from rtof_kin.protocols.total_capture import (
-    SENSOR_SETS,
-    SIXTEEN,
-    TotalCaptureProtocol,
-    all_tables,
-    length_name,
-    weight_name,
-)
+from rtof_kin.protocols.total_capture import SENSOR_SETS, SIXTEEN, TotalCaptureProtocol, length_name, weight_name
 from rtof_kin.simulation.simulate import another_person
 from rtof_kin.solve.settings import CartesianSettings
 
@@ -87,7 +80,7 @@ def protocol(root: Path, **changed: Any) -> TotalCaptureProtocol:
 
 def tables_of(about: TotalCaptureProtocol, outcome: Outcome) -> dict[str, Table]:
     """Every table by its name."""
-    return {table.name: table for table in all_tables(about, outcome)}
+    return {table.name: table for table in about.tables(outcome)}
 
 
 def figures(outcome: Outcome) -> dict[str, dict[str, Any]]:
