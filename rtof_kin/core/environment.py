@@ -74,8 +74,8 @@ SWITCHES: Final = (
 )
 """Environment variables by which libraries choose a processor's instructions."""
 _ROOT: Final = Path(__file__).parents[2]
-_SOURCES: Final = ("rtof_kin/**/*.py", "rtof_kin/**/*.c", "lifting/**/*.py")
-_TABLES: Final = ("*.npz", "*.toml", "*.urdf")
+_CODE: Final = (".py", ".c", ".h")
+_TABLES: Final = (".npz", ".toml", ".urdf", ".msg")
 _UNKNOWN: Final = "unknown"
 
 
@@ -111,13 +111,14 @@ def package_version(name: str) -> str:
 @cache
 def source_digest() -> str:
     """Return the SHA-256 of this package's code and tables, which tells versions of one number apart."""
-    models = next((m for m in (_ROOT / "models", _ROOT / "rtof_kin" / "models") if m.is_dir()), None)
-    paths = [path for pattern in _SOURCES for path in _ROOT.glob(pattern)]
-    paths += [path for pattern in _TABLES for path in (models.glob(pattern) if models else ())]
+    found = [path for folder in ("rtof_kin", "lifting", "models") for path in (_ROOT / folder).rglob("*")]
+    # tables lie beside the package in a checkout and inside it once installed: the same names either way
+    named = [(path.relative_to(_ROOT).as_posix().removeprefix("rtof_kin/"), path) for path in found]
     whole = hashlib.sha256()
-    for name, path in sorted((path.relative_to(_ROOT).as_posix(), path) for path in paths):
-        whole.update(f"{name.removeprefix('rtof_kin/models/')} ".encode())
-        whole.update(hashlib.sha256(path.read_bytes()).digest())
+    for name, path in sorted(named):
+        if path.suffix in _TABLES or (path.suffix in _CODE and not name.startswith("models/")):
+            whole.update(f"{name} ".encode())
+            whole.update(hashlib.sha256(path.read_bytes()).digest())
     return whole.hexdigest()
 
 

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.environment import environment
+from rtof_kin.core.environment import environment, source_digest
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
@@ -33,6 +33,37 @@ def test_environment_has_versions_and_neither_names_nor_paths(monkeypatch: pytes
     assert str(Path.home()) not in text
     assert (platform.node() or "-") not in text.split()
     assert getpass.getuser() not in text.split()
+
+
+SOURCES = {
+    "rtof_kin/solver.py": "code",
+    "rtof_kin/numerics/simd.h": "code",
+    "rtof_kin/datasets/public_sets.toml": "a table",
+    "models/joints.toml": "a table",
+    "models/movements/gait.npz": "a table",
+}
+
+
+def digest(root: Path, files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> str:
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    monkeypatch.setattr("rtof_kin.core.environment._ROOT", root)
+    return source_digest.__wrapped__()
+
+
+@pytest.mark.parametrize("changed", SOURCES)
+def test_source_digest_tells_code_and_tables_apart(
+    changed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = digest(tmp_path, SOURCES, monkeypatch)
+    assert digest(tmp_path, {changed: "other"}, monkeypatch) != before
+
+
+def test_source_digest_of_a_checkout_is_that_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checkout = SOURCES | {"models/build_joints.py": "not packaged", "README.md": "not packaged"}
+    package = {f"rtof_kin/{name}" if name.startswith("models/") else name: text for name, text in SOURCES.items()}
+    assert digest(tmp_path / "a", checkout, monkeypatch) == digest(tmp_path / "b", package, monkeypatch)
 
 
 Array = NDArray[np.float64]
