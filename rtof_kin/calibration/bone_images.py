@@ -50,20 +50,25 @@ class BoneImages:
     sensors: Index  # (B,) index of the sensor on each bone
     sensor_count: int  # S
 
-    def cost(self, steps: int, constant: bool = True) -> Array:
-        """Return the robust differences (F, B), nats; `steps`: offset of the video's stamps relative to the sensors',
-        in `STEP`; `constant`: whether each bone may have a constant difference.
+    def cost(self, steps: ArrayLike, constant: bool = True) -> Array:
+        """Return the robust differences (..., F, B), nats; `steps`: (...) offsets of the video's stamps relative to the
+        sensors', in `STEP`; `constant`: whether each bone may have a constant difference.
         """
-        index = self.frames - steps
+        index = self.frames - np.asarray(steps)[..., None]
         inside = (index >= 0) & (index < len(self.directions))
         d = self.directions[np.where(inside, index, 0)]
         off = self.vectors - projected(d, self.rays)
-        known = inside[:, None] & np.isfinite(off[..., 0])
+        known = inside[..., None] & np.isfinite(off[..., 0])
         off = np.where(known[..., None], off, 0.0)
         if constant:
-            off = off - off.sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None]
-        square = np.einsum("fbi,fbi->fb", off, off) / self.sigma**2
+            off -= off.sum(axis=-3, keepdims=True) / np.maximum(known.sum(axis=-2, keepdims=True), 1)[..., None]
+        square = np.einsum("...i,...i->...", off, off) / self.sigma**2
         return np.where(known, 1.5 * np.log1p(square / 3), np.nan)
+
+    def differences(self, steps: Index) -> Array:
+        """Return the cost (n, F) of all sensors together at offsets (n,); NaN without a bone."""
+        cost = self.cost(steps) * self.weight
+        return np.where(np.isfinite(cost).any(axis=-1), np.nansum(cost, axis=-1), np.nan)
 
     def by_sensor(self, steps: int = 0) -> Array:
         """Return the mean difference (S,) of sensors, nats per frame, at an offset in `STEP`; NaN without a bone."""
@@ -175,14 +180,12 @@ def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
     common = min((sensed[-1] - sensed[0]) * STEP, len(video) * a_frame)
     least = max(LEAST_COMMON, _COMMON_SHARE * common)
     reach = round(REACH / STEP)
-    for steps in range(-reach, reach + 1):
-        index = video - steps
-        if a_frame * np.sum((index >= sensed[0]) & (index <= sensed[-1])) < least:
-            continue
-        cost = images.cost(steps) * images.weight
-        some = np.isfinite(cost).any(axis=1)
-        if some.any():
-            yield steps, np.where(some, np.nansum(cost, axis=1), np.nan)
+    steps = np.arange(-reach, reach + 1)
+    index = video - steps[:, None]
+    steps = steps[a_frame * np.sum((index >= sensed[0]) & (index <= sensed[-1]), axis=1) >= least]
+    for step, cost in zip(steps.tolist(), images.differences(steps), strict=True):
+        if np.isfinite(cost).any():
+            yield step, cost
 
 
 def check_clocks(

@@ -209,20 +209,19 @@ def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
     if len(known) == 0 or seen.sum() < 5:
         return None
     at = np.round((images.frames - images.frames[0]) * ratio).astype(np.int64)
-    span, best = int(np.ptp(at[seen])), None
+    span, first = int(np.ptp(at[seen])), images.frames[0]
     least = max(_LEAST_SECONDS / STEP, 0.6 * min(span, known[-1] - known[0]))
-    first = images.frames[0]
-    for shift in range(max(known[0] - span, first - 60), min(known[-1], first + 60) + 1):
-        inside = (at[seen] + shift >= known[0]) & (at[seen] + shift <= known[-1])
-        if not inside.any() or np.ptp(at[seen][inside]) < least:
-            continue
-        moved = replace(images, frames=at + shift)
-        cost = moved.cost(0) * images.weight
-        some = np.isfinite(cost).any(axis=1)
-        total = np.where(some, np.nansum(cost, axis=1), np.nan)
-        if some.any() and (best is None or np.nanmean(total) < np.nanmean(best[0])):
-            best = total, float(np.nanmean(moved.by_sensor()))
-    return best
+    shifts = np.arange(max(known[0] - span, first - 60), min(known[-1], first + 60) + 1)
+    moved, index = replace(images, frames=at), at[seen] + shifts[:, None]
+    inside = (index >= known[0]) & (index <= known[-1])
+    common = np.where(inside, index, -np.inf).max(axis=1) - np.where(inside, index, np.inf).min(axis=1)
+    steps = -shifts[common >= least]
+    differences = moved.differences(steps)
+    some = np.isfinite(differences).any(axis=1)
+    if not some.any():
+        return None
+    best = int(np.argmin(np.nanmean(differences[some], axis=1)))
+    return differences[some][best], float(np.nanmean(moved.by_sensor(steps[some][best])))
 
 
 # --- one sensor ----------------------------------------------------------------------------------
