@@ -5,13 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import planted as planted_motions
 import pytest
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.formats.asf_amc import read_asf_amc
-from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.formats.bvh import read_bvh, write_bvh
+from rtof_kin.formats.motion_views import joint_tree
 from rtof_kin.simulation import mocap
 from rtof_kin.simulation.mocap_families import (
     NAMES,
@@ -316,3 +319,13 @@ def test_rest_poses_after_the_artificial_frame_are_left_out(tmp_path):
     (tmp_path / WALK.name).write_text("\n".join([*lines[: first + 1], *([rest] * 9), *lines[first + 1 :]]))
     longer, usual = (mocap.read_mocap(path).poses for path in (tmp_path / WALK.name, WALK))
     np.testing.assert_array_equal(longer.R_world_bone, usual.R_world_bone)
+
+
+def test_the_own_export_comes_back_as_the_same_motion(tmp_path):
+    motion = planted_motions.moving(SkeletonModel.default().with_height(1.9), 40)
+    write_bvh(tmp_path / "motion.bvh", joint_tree(motion), len(motion.q))
+    clip = mocap.read_mocap(tmp_path / "motion.bvh", output_rate_hz=None)
+    assert clip.rig == "rtof_kin"
+    np.testing.assert_allclose(clip.joint_offsets, motion.skeleton.joint_offsets, atol=1e-9)
+    np.testing.assert_allclose(clip.poses.p_world_joint, motion.poses.p_world_joint, atol=1e-9)
+    np.testing.assert_allclose(clip.poses.R_world_bone, motion.poses.R_world_bone, atol=1e-9)
