@@ -56,23 +56,21 @@ def dynamics_confidence(
     rate_hz: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return variances of torques (n, 2, D), (N m)^2, and covariances (n, 2, 6, 6) of the wrench about the reference,
-    N and N m: of the motion, NaN without its confidence, and of the masses.
+    N and N m: of the motion, NaN without its confidence, and of the masses. It needs 70 kB a frame.
 
     Args:
         body: with the subject's mass. q, v, a: (n, nq), (n, nv), (n, nv), filtered.
         carries: (n,) see `BodyDynamics.at`. stated: of these frames. rate_hz: of the motion, Hz.
     """
     n, D = len(q), body.skeleton.nv - 6
+    if stated is not None:
+        errors = pose_errors(body.skeleton, q, stated, body.skeleton.forward_kinematics(q)[1])
+        gains = errors.gains(rate_hz)
     torques, wrench = (np.full((n, 2, *shape), np.nan, np.float32) for shape in ((D,), (6, 6)))
     for t in range(n):
         S = body.derivatives(q[t], v[t], a[t], int(carries[t]))
         if stated is not None:
-            if t % _ERRORS == 0:
-                few = slice(t, t + _ERRORS)
-                errors = pose_errors(body.skeleton, q[few], stated[few], body.skeleton.forward_kinematics(q[few])[1])
-                gains = errors.gains(rate_hz)
-            factors = errors.factors[t % _ERRORS]
-            value, velocity, acceleration = (rows @ factors for rows in (S.value, S.velocity, S.acceleration))
+            value, velocity, acceleration = (rows @ errors.factors[t] for rows in (S.value, S.velocity, S.acceleration))
             torques[t, 0] = _products(value[:D], velocity[:D], acceleration[:D], gains)
             wrench[t, 0] = _covariance(value[D:], velocity[D:], acceleration[D:], gains)
         torques[t, 1] = MASS_SIGMA**2 * np.sum(S.masses[:D] ** 2, axis=1)
@@ -258,7 +256,7 @@ def _inverse_dynamics(
 ) -> Iterator[tuple[slice, _Arrays, tuple[NDArray[Any], ...]]]:
     """Frames of a stretch in blocks, with their dynamics, and nodes by their place in the block."""
     body = BodyDynamics(skeleton)
-    for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz), confidence=True):
+    for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz)):
         times, own, supports = block.motion.times, block.own, carries[block.frames]
         q = np.array(smoothed(block.motion.q, rate_hz, CUTOFF_HZ))
         q[:, 3:7] = so3.unit(q[:, 3:7])  # the quaternion of the root is continuous, so it can be filtered
@@ -266,8 +264,11 @@ def _inverse_dynamics(
         a = np.gradient(v, times, axis=0)
         q, v, a = q[own], v[own], a[own]
         nodes = np.union1d(np.arange(0, len(q), max(1, math.floor(EVERY * rate_hz))), [len(q) - 1])
-        stated = None if block.motion.confidence is None else block.motion.confidence[own.start + nodes]
-        parts = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], stated, rate_hz)
+        parts = []
+        for few in np.split(nodes, range(_ERRORS, len(nodes), _ERRORS)):
+            stated = motion.read(block.start + few[0], block.start + few[-1] + 1).confidence
+            stated = None if stated is None else stated[few - few[0]]
+            parts.append(dynamics_confidence(body, q[few], v[few], a[few], supports[few], stated, rate_hz))
         found = [body.at(*frame) for frame in zip(q, v, a, supports.tolist(), strict=True)]
         yield (
             block.frames,
@@ -278,6 +279,6 @@ def _inverse_dynamics(
                 "wrench": np.array([one.wrench for one in found]),
                 "reference": np.array([one.reference for one in found]),
             },
-            (nodes, *parts),
+            (nodes, *map(np.concatenate, zip(*parts, strict=True))),
         )
-        del block, stated, found  # before the next one is read
+        del block, found  # before the next one is read

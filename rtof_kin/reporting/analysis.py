@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
 MARKER: Final = "angles.csv"
-_BLOCK: Final = 3600  #: Rows of a table that are formatted at once
+_BLOCK: Final = 600  #: Rows of a table that are formatted at once
 _STRIDE: Final = ("side", "start_s", "toe_off_s", "stop_s", "stride_length_m")  # names of the fields of a `Stride`
 _DIGITS: Final = 9  # after the point, of what is written
 _ALL: Final = 17  # significant digits: a number as it is
