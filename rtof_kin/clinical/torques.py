@@ -164,7 +164,8 @@ def joint_torques(
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
     whole, short = _unknown(T, skeleton.nv), 0
     nothing = (np.full((1, 2, *shape), np.nan, np.float32) for shape in ((skeleton.nv - 6,), (6, 6)))
-    at_nodes: list[tuple[NDArray[Any], ...]] = [(np.zeros(1, np.intp), *nothing)]  # where no node follows
+    at_nodes: dict[str, list[NDArray[Any]]]  # the first where no node follows
+    at_nodes = {"nodes": [np.zeros(1, np.intp)], "variances": [next(nothing)], "node_covariances": [next(nothing)]}
     ends = [i for i, name in enumerate(skeleton.names) if name in _CARRY]
     placed = source.masks.known & source.masks.valid[:, [0, *ends]].all(axis=1)
     for start, stop in signals.runs(placed):
@@ -175,7 +176,8 @@ def joint_torques(
         step = float(np.median(np.diff(times)))
         dynamics = _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop])
         for frames, part, (nodes, *parts) in dynamics:
-            at_nodes.append((start + frames.start + nodes, *parts))
+            for column, found in zip(at_nodes.values(), (start + frames.start + nodes, *parts), strict=True):
+                column.append(found)
             for name, array in part.items():
                 whole[name][start + frames.start : start + frames.stop] = array
         edge = max(2, round(_EDGE / step))
@@ -193,8 +195,8 @@ def joint_torques(
             f"torques of the legs in {100 * np.mean(carries != UNKNOWN):.0f} % of the frames, in which one "
             "foot bears all load; load sharing of two feet is unknown without a force plate"
         )
-    names = "nodes", "variances", "node_covariances"
-    whole |= {name: np.concatenate(parts) for name, parts in zip(names, zip(*at_nodes, strict=True), strict=True)}
+    for name in tuple(at_nodes):
+        whole[name] = np.concatenate(at_nodes.pop(name))
     notes += _confidence_notes(whole)
     return JointTorques(
         times=source.times, dof_names=skeleton.dof_names, weight_kg=skeleton.table.mass_kg, notes=tuple(notes), **whole

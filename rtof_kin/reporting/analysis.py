@@ -44,6 +44,7 @@ from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
@@ -112,15 +113,11 @@ def write_analysis(
     subject = {} if summary is None else summary.subject
     weight_kg = settings.weight_kg if settings.weight_kg is not None else subject.get("mass_kg")
     sex = settings.sex or (subject.get("sex") if weight_kg is not None else None)
-    found = analyse(
-        motion,
-        weight_kg=weight_kg,
-        height=settings.height,
-        sex=sex,
-        repetitions=settings.repetitions,
-        from_standing=settings.from_standing,
-    )
+    body: dict[str, Any] = {"weight_kg": weight_kg, "height": settings.height, "sex": sex}
+    found = analyse(motion, **body, repetitions=settings.repetitions, from_standing=settings.from_standing)
     made = document(found, None if summary is None else summary.sensors)
+    del found  # the document has what it needs
+    return_free_memory()
     with new_folder(folder, MARKER, overwrite, inputs) as new:
         for one, inner in ((made, new), *((other, new / other.name) for other in documents)):
             inner.mkdir(exist_ok=True)
