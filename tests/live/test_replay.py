@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -118,6 +120,32 @@ def test_a_folder_is_replayed_by_blocks_as_if_it_were_in_memory(monkeypatch: pyt
     monkeypatch.setattr("rtof_kin.live.replay.BLOCK", 100)
     with RecordingReader.open(model_path("demo")) as reader:
         assert replayed_of(reader) == whole
+
+
+def test_a_replay_holds_two_blocks_of_each_stream_however_long_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read whole, an hour takes 2.8 GB."""
+    monkeypatch.setattr("rtof_kin.live.replay.BLOCK", 100)
+    monkeypatch.setattr("rtof_kin.core.over_time.BLOCK", 100)
+    parts, longest = list[ref[object]](), 0
+
+    def counted(stream: Any) -> Any:
+        def part(rows: slice) -> object:
+            parts.append(ref(found := stream.part(rows)))
+            assert len(found) <= 100
+            return found
+
+        return replace(stream, part=part)
+
+    with RecordingReader.open(model_path("demo")) as reader:
+        streams = reader.streams
+        reader._streams = replace(streams, keypoints=counted(streams.keypoints), imus=counted(streams.imus))
+        replay = RecordingReplay.of_recording(reader, ReplayClock(INF))
+        replay.start()
+        while not replay.finished:
+            replay.poll()
+            longest = max(longest, sum(part() is not None for part in parts))
+    assert longest == 4
+    assert len(parts) > 40
 
 
 def test_two_replays_stay_together_however_fast_they_are_read() -> None:
