@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from array import array
-from base64 import b64encode
-from collections.abc import Iterator
-from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from hashlib import sha256
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,7 +14,7 @@ from rtof_kin.body.motion_file import MOTION, write_motion
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError
-from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
 from rtof_kin.view.legend import Verdict, corner_html, legend_html
 from rtof_kin.view.motion_scene import ELLIPSOIDS, MotionScene
@@ -29,10 +24,6 @@ from rtof_kin.vision.video import Progress
 LARGEST_MB: Final = 50.0  #: [MB] Default limit of the file
 FASTEST_HZ: Final = 30.0  #: Default rate of the frames
 SLOWEST_HZ: Final = 5.0  #: Least rate to which a long motion is thinned out
-_DATA: Final = '__VISER_EMBED_DATA__="'  #: Before what the player of viser's page reads
-_LEVEL: Final = 12  #: Of zstd, as viser has it
-_REMEMBERED: Final = 1 << 16  # Arrays that are not written again where they repeat; those of a minute and a half
-_PART: Final = 1 << 20  # [bytes] that are compressed at once
 _TRIAL: Final = 40  # Frames from which the size is estimated
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
@@ -96,8 +87,8 @@ def write_static_page(
     times = files.motion.times
     frames = frames_of_page(times, start, stop, rate_hz)
     rate = min(rate_hz, files.motion.rate_hz)
-    with new_file(path, overwrite) as file, ExitStack() as stack:
-        scene = stack.enter_context(closing(MotionScene(server, files.motion, files.measurements, files.second)))
+    scene = MotionScene(server, files.motion, files.measurements, files.second)
+    try:
         if ELLIPSOIDS in scene.layers:
             scene.layers[ELLIPSOIDS](False)
         base, each = _sizes(server, scene, frames)
@@ -111,17 +102,12 @@ def write_static_page(
                     "more (--limit)"
                 )
             frames = frames_of_page(times, start, stop, rate)
-        _show(scene, frames[0])
-        page = _finished(server.get_scene_serializer().as_html(), files.verdict, scene, _part(times, frames))
-        before, mark, after = page.partition(_DATA)
-        messages = _Messages(server, *(stack.enter_context((file.parent / name).open("w+b")) for name in ("1", "2")))
-        _record(messages, scene, times, frames, progress)
-        with file.open("wb") as out:
-            out.write((before + mark).encode())
-            for part in messages.compressed():
-                out.write(b64encode(part))
-            out.write(after[after.index('"') :].encode())
-    return StaticPage(Path(path), len(frames), rate, Path(path).stat().st_size / 1e6, thin)
+        text = _recorded(server, scene, times, frames, progress)
+        page = _finished(text, files.verdict, scene, _part(times, frames))
+    finally:
+        scene.close()
+    write_text(Path(path), page, overwrite)
+    return StaticPage(Path(path), len(frames), rate, len(page.encode()) / 1e6, thin)
 
 
 @dataclass(frozen=True)
@@ -162,72 +148,17 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
     return page.stat().st_size / 1e6, each
 
 
-def _record(
-    messages: _Messages, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None
-) -> None:
-    """Show the frames at their times; the player begins again at the end."""
+def _recorded(server: Any, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None) -> str:
+    """Return viser's page with the frames at their times; it begins again at the end."""
+    _show(scene, frames[0])
+    serializer = server.get_scene_serializer()
     ends = np.append(times[frames], times[frames[-1]] + 1.0)  # the last frame stays for a second
     for number, frame in enumerate(frames):
         _show(scene, frame)
-        messages.serializer.insert_sleep(float(ends[number + 1] - ends[number]))
-        messages.take()
+        serializer.insert_sleep(float(ends[number + 1] - ends[number]))
         if progress is not None:
             progress("page", number + 1, len(frames))
-
-
-class _Messages:
-    """What a `StateSerializer` of viser holds in memory, 30 kB a frame, in two files until it is compressed."""
-
-    def __init__(self, server: Any, messages: IO[bytes], arrays: IO[bytes]):
-        self.serializer, self._encode = server.get_scene_serializer(), optional("msgspec.msgpack", "view").encode
-        self._renumber = optional("viser.infra._infra", "view")._remap_binary_placeholder_indices
-        self._messages, self._arrays, self._count, self._sizes = messages, arrays, 0, array("Q")
-        self._numbers: dict[bytes, int] = {}  # by digest, of the arrays that were used last
-
-    def take(self) -> None:
-        """Take from the serializer what it holds."""
-        own = self.serializer
-        with own._handler._record_lock:
-            (messages, own._messages), (arrays, own._binary_buffers) = (own._messages, []), (own._binary_buffers, [])
-        numbers = list(map(self._number, arrays))
-        for message in messages:
-            self._renumber(message, numbers)
-            self._messages.write(self._encode(message))
-        self._count += len(messages)
-
-    def _number(self, content: Any) -> int:
-        """Return the number of an array, which is written unless it has one."""
-        digest = sha256(content).digest()
-        number = self._numbers[digest] = self._numbers.pop(digest, len(self._sizes))
-        if number == len(self._sizes):
-            self._sizes.append(content.nbytes)
-            self._arrays.write(bytes(-self._arrays.tell() % 8))
-            self._arrays.write(content)
-            if len(self._numbers) > _REMEMBERED:
-                del self._numbers[next(iter(self._numbers))]
-        return number
-
-    def compressed(self) -> Iterator[bytes]:
-        """Yield what `StateSerializer.serialize` returns, by parts of a multiple of three bytes but for the last."""
-        own = self.serializer
-        with own._handler._record_lock:
-            own._handler._record_handles.remove(own)
-        self.take()
-        facts = {"durationSeconds": own._time, "viserVersion": optional("viser", "view").__version__}
-        head = self._encode(facts | {"binaryBufferLengths": self._sizes.tolist(), "messages": []})[:-1]
-        head += b"\xdd" + self._count.to_bytes(4, "big")  # they follow
-        head = (len(head) + self._messages.tell()).to_bytes(8, "little") + head
-        self._messages.write(bytes(-(len(head) + self._messages.tell()) % 8))
-        whole = len(head) + self._messages.tell() + self._arrays.tell()
-        compressor = optional("zstandard", "view").ZstdCompressor(level=_LEVEL).compressobj(size=whole)
-        rest = whole.to_bytes(8, "little") + compressor.compress(head)
-        for file in (self._messages, self._arrays):
-            file.seek(0)
-            while part := file.read(_PART):
-                rest += compressor.compress(part)
-                yield rest[: len(rest) // 3 * 3]
-                rest = rest[len(rest) // 3 * 3 :]
-        yield rest + compressor.flush()
+    return str(serializer.as_html())
 
 
 def _show(scene: MotionScene, frame: int) -> None:

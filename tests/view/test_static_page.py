@@ -5,10 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
-from contextlib import closing
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +15,7 @@ from report_support import BROWSER
 from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
-from rtof_kin.view.motion_scene import MotionScene
-from rtof_kin.view.static_page import _Messages, notebook_page, write_static_page
+from rtof_kin.view.static_page import notebook_page, write_static_page
 from rtof_kin.view.viewer import MotionViewer, address, local_server, motion_files
 
 pytest.importorskip("viser")
@@ -79,49 +75,6 @@ def test_written_page_opens_from_the_disk_and_asks_for_nothing(out: Path, page: 
     assert refused == 1
     page.until("performance.now() > 3500")
     assert any("Content Security Policy" in error for error in page.errors)
-
-
-def played(content: bytes) -> Any:
-    """What viser's player reads, with the bytes of arrays in place of their numbers."""
-    msgpack, zstandard = pytest.importorskip("msgspec").msgpack, pytest.importorskip("zstandard")
-    data = zstandard.ZstdDecompressor().decompressobj().decompress(content[8:])
-    assert len(data) == int.from_bytes(content[:8], "little")
-    at = 8 + int.from_bytes(data[:8], "little")
-    found, arrays = msgpack.decode(data[8:at]), []
-    for size in found.pop("binaryBufferLengths"):
-        at += -at % 8
-        arrays.append(data[at : at + size])
-        at += size
-
-    def whole(value: Any) -> Any:
-        if isinstance(value, dict) and "__binary_index" in value:
-            return value | {"__binary_index": arrays[value["__binary_index"]]}
-        if isinstance(value, dict):
-            return {name: whole(one) for name, one in value.items()}
-        return [*map(whole, value)] if isinstance(value, list) else value
-
-    return whole(found)
-
-
-@pytest.mark.parametrize("remembered", [1, 1000])
-def test_messages_on_the_disk_are_those_of_viser(out: Path, remembered: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtof_kin.view.static_page._REMEMBERED", remembered)
-    with (
-        motion_files(out) as files,
-        local_server() as server,
-        closing(MotionScene(server, files.motion, files.measurements)) as scene,
-    ):
-        scene.show(0, 60.0)
-        messages, theirs = _Messages(server, BytesIO(), BytesIO()), server.get_scene_serializer()
-        for frame in (0, 1, 2, 1, 5):
-            scene.show(frame, 60.0)
-            theirs.insert_sleep(0.1)
-            messages.serializer.insert_sleep(0.1)
-            messages.take()
-            assert messages.serializer._messages == messages.serializer._binary_buffers == []
-        parts = list(messages.compressed())
-    assert {len(part) % 3 for part in parts[:-1]} <= {0}
-    assert played(b"".join(parts)) == played(theirs.serialize())
 
 
 def test_a_notebook_plays_the_motion_and_says_what_it_left_out(page: BrowserPage, tmp_path: Path) -> None:
