@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Literal, Self, get_args, get_type_hints
 
@@ -15,7 +16,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names, checked_times, freeze, indices_of
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.core.over_time import OverTime
+from rtof_kin.core.over_time import OverTime, Stream
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 
 AccelerationUnit = Literal["m/s2", "g", "mg"]
@@ -269,13 +270,19 @@ class SensorLog:
         checked_names(f"sensors of {self.path}", self.names)
 
     @classmethod
-    def of_imus(cls, imus: ImuSequence, path: str | Path) -> Self:
-        """Return the sensors of a recording."""
-        streams = tuple(
-            SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-            for s, name in enumerate(imus.names)
-        )
-        return cls(Path(path), "IMUs of a recording", streams, Declaration())
+    def of_imus(cls, imus: ImuSequence | Stream[ImuSequence], path: str | Path) -> Self:
+        """Return the sensors of a recording, which are read by blocks."""
+        stream = Stream.of(imus)
+        names, T, start = stream.part(slice(0, 1)).names, len(stream), 0
+        arrays = [(np.empty((T, 3)), np.empty((T, 3, 3))) for _ in names]
+        for block in stream.blocks():
+            rows = slice(start, start := start + len(block))
+            for s, (f, R) in enumerate(arrays):
+                f[rows], R[rows] = block.f_sensor[:, s], block.R_inertial_sensor[:, s]
+        for array in chain(*arrays):
+            array.setflags(write=False)  # shared, not copied
+        streams = (SensorStream(name, stream.times, *own) for name, own in zip(names, arrays, strict=True))
+        return cls(Path(path), "IMUs of a recording", tuple(streams), Declaration())
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import hashlib
 import json
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,7 +28,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
-from rtof_kin.core.files.arrays import write_npz
+from rtof_kin.core.files.arrays import write_npz_blocks
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.over_time import ALL, Part, Stream
 from rtof_kin.data.corrections import Correction
@@ -140,14 +140,50 @@ class RecordingSource(ABC):
         them.
         """
         facts = {name: value for name, value in tomllib.loads(self.facts.index()).items() if name not in _LABELS}
-        lines, streams = [json.dumps(facts, sort_keys=True)], self.streams
-        for number, view in enumerate((streams.keypoints, *streams.views)):
-            lines += _of_stream(f"keypoints {number}", view, keypoint_file_arrays)
-        lines += _of_stream("imus", streams.imus, imu_arrays)
-        for number, other in enumerate(self.facts.lifts):
-            lines += _of_stream(f"lift {number}", Stream.of(other.points), _lift_arrays)
-        lines += _of_stream("truth", streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH})
+        lines = [json.dumps(facts, sort_keys=True)]
+        for kind, _, stream, arrays in self._files():
+            lines += _of_stream(kind, stream, arrays)
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+    def _files(self) -> Iterator[tuple[str, str, Stream[Any], Callable[[Any], dict[str, Any]]]]:
+        """Yield a name, the file in the folder, the samples and what makes their arrays, of each kind of sample."""
+        streams = self.streams
+        for number, view in enumerate((streams.keypoints, *streams.views)):
+            if view is not None:
+                yield f"keypoints {number}", keypoint_file(number), view, keypoint_file_arrays
+        if streams.imus is not None:
+            yield "imus", IMUS, streams.imus, imu_arrays
+        for number, name in enumerate(_lift_files(self.facts.lifts)):
+            yield f"lift {number}", name, Stream.of(self.facts.lifts[number].points), _lift_arrays
+        if streams.truth is not None:
+            yield "truth", _TRUTH, streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH}
+
+    def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
+        """Write the folder that `Recording.load` reads back exactly, or nothing at all. `OutputExistsError`: the folder
+        exists and may not be replaced; `RtofError`: it cannot be written.
+
+        Args:
+            overwrite: replace a recording that was saved here and not changed since.
+            inputs: fingerprints of what it is made from, for its manifest.
+        """
+        with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
+            for _, name, stream, arrays in self._files():
+                write_npz_blocks(fresh / name, _by_blocks(stream, arrays))
+            (fresh / INDEX).write_text(self.facts.index(), encoding="utf-8")
+
+
+def _by_blocks(
+    stream: Stream[Any], arrays: Callable[[Any], dict[str, Any]]
+) -> dict[str, tuple[tuple[int, ...], Iterator[Any]]]:
+    """Return the shape and the blocks of each array of a stream."""
+    first = arrays(stream.part(slice(0, 1)))
+    constant = {name: np.asarray(first[name]) for name in first if name in (*VIDEO_CONSTANTS, "names")}
+    rows = {name: (len(stream), *np.shape(first[name])[1:]) for name in first if name not in constant}
+
+    def blocks(name: str) -> Iterator[Any]:
+        return iter([constant[name]]) if name in constant else (arrays(part)[name] for part in stream.blocks())
+
+    return {name: (constant[name].shape if name in constant else rows[name], blocks(name)) for name in first}
 
 
 @dataclass(frozen=True)
@@ -321,31 +357,6 @@ class Recording(RecordingSource):
         with RecordingReader.open(folder) as reader:
             return reader.whole()
 
-    def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
-        """Write the folder that `load` reads back exactly, or nothing at all. `OutputExistsError`: the folder exists
-        and may not be replaced; `RtofError`: it cannot be written.
-
-        Args:
-            overwrite: replace a recording that was saved here and not changed since.
-            inputs: fingerprints of what it is made from, for its manifest.
-        """
-        with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
-            for name, arrays in self.arrays().items():
-                write_npz(fresh / name, arrays)
-            (fresh / INDEX).write_text(self.index(), encoding="utf-8")
-
-    def arrays(self) -> dict[str, dict[str, Any]]:
-        """Return the arrays of each file in the folder, by name."""
-        seen = (self.keypoints, *self.views) if self.keypoints is not None else ()
-        arrays = {keypoint_file(i): keypoint_file_arrays(one) for i, one in enumerate(seen)}
-        if self.imus is not None:
-            arrays[IMUS] = imu_arrays(self.imus)
-        for name, other in zip(_lift_files(self.lifts), self.lifts, strict=True):
-            arrays[name] = _lift_arrays(other.points)
-        if self.truth is not None:
-            arrays[_TRUTH] = {name: getattr(self.truth, name) for name in TRUTH}
-        return arrays
-
     def index(self) -> str:
         """Return the text of ``recording.toml``."""
         made = (replace(one, applied=True) for one in self.corrections)
@@ -397,10 +408,10 @@ def _lift_arrays(points: MarkerSequence) -> dict[str, Any]:
     return {"times": points.times, "names": np.array(points.names), "p_world": points.p_world}
 
 
-def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:
+def _of_stream(kind: str, stream: Stream[Any], arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:
     """Return a line with the digest of each array of a stream, whatever the blocks it is read in."""
     digests: dict[str, Any] = {}
-    for block in () if stream is None else stream.blocks():
+    for block in stream.blocks():
         for name, values in arrays(block).items():
             array, constant = np.ascontiguousarray(values), name in VIDEO_CONSTANTS
             if name not in digests:

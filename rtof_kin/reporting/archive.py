@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import stat
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +30,7 @@ from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.formats.measurements_file import measurements_path
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.labels import Session
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import RecordingReader
 
 SUMS: Final = "SHA256SUMS"
 LEFT_OUT: Final = "[left out]"  #: In place of a name or path in a text of ``summary.json``
@@ -68,14 +69,14 @@ def write_result_archive(
             f"{folder}: made with --lift, and the archive has the recording only; name the points in its [lift], and "
             "reconstruct again without the option"
         )
-    source, found = recording_of(folder, summary, recording)
     person = Session.of((summary.get("inputs") or {}).get("session") or {}).subject  # maybe of the person's file
-    files = [Path(lift.name).stem for lift in found.lifts]
-    names = identifying(found.session, (found.name, source.resolve().name), person, files)
-    bare = replace(found, name="recording", session=Session(), notes="", acknowledgement="")
     with tempfile.TemporaryDirectory(prefix="rtof_kin_") as temporary:
         written = Path(temporary)
-        bare.save(written / "recording")
+        with recording_of(folder, summary, recording) as (source, found):
+            facts, files = found.facts, [Path(lift.name).stem for lift in found.facts.lifts]
+            names = identifying(facts.session, (found.name, source.resolve().name), person, files)
+            bare = found.with_facts(name="recording", session=Session(), notes="", acknowledgement="")
+            bare.save(written / "recording")
         (written / "summary.json").write_text(_summary(summary, names), encoding="utf-8")
         kept = (motion_path(result), measurements_path(folder), folder / "skeleton.urdf", written / "summary.json")
         members = {f"result/{file.name}": file for file in kept if file.is_file()}
@@ -88,12 +89,17 @@ def write_result_archive(
                 info = zipfile.ZipInfo(name)  # of 1980: the same contents give the same bytes
                 info.create_system, info.external_attr = 3, (stat.S_IFREG | 0o644) << 16
                 info.compress_type = zipfile.ZIP_STORED if file.suffix in (".h5", ".npz") else zipfile.ZIP_DEFLATED
-                archive.writestr(info, file.read_bytes())
+                info.file_size = file.stat().st_size
+                with file.open("rb") as contents, archive.open(info, "w") as member:
+                    shutil.copyfileobj(contents, member)
     return Path(path)
 
 
-def recording_of(result: Path, summary: Mapping[str, Any], given: str | Path | None) -> tuple[Path, Recording]:
-    """Find the recording of a result by the SHA-256 of its numbers; `InvalidInputError` where there is none."""
+@contextmanager
+def recording_of(
+    result: Path, summary: Mapping[str, Any], given: str | Path | None
+) -> Iterator[tuple[Path, RecordingReader]]:
+    """Open the recording of a result, found by the SHA-256 of its numbers; `InvalidInputError` where there is none."""
     run = summary.get("run")
     if not isinstance(run, dict) or "recording_sha256" not in run:
         raise InvalidInputError(
@@ -103,9 +109,10 @@ def recording_of(result: Path, summary: Mapping[str, Any], given: str | Path | N
     near = (*(result.parent / name for name in _OF_RUN), model_path("demo"))
     for folder in near if given is None else (Path(given),):
         if given is not None or (folder / INDEX).is_file():
-            recording = Recording.load(folder)
-            if recording.digest() == run["recording_sha256"]:
-                return folder, recording
+            with RecordingReader.open(folder) as recording:
+                if recording.digest() == run["recording_sha256"]:
+                    yield folder, recording
+                    return
     what = "no recording beside it is the one" if given is None else f"{given} is not the recording"
     raise InvalidInputError(
         f"{result}: {what} that it was made from; name its folder by --recording, or reconstruct again if it was "

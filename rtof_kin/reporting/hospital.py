@@ -200,10 +200,11 @@ def write_dicom(path: Path, result: Result, overwrite: bool = False) -> None:
 
 def write_motion_bids(folder: Path, result: Result, overwrite: bool = False) -> None:
     """Write a data set of the recorded sensors and the motion, in blocks; errors as `recording_of` and `new_folder`."""
-    source, found = recording_of(result.folder, load_json(result.folder / SUMMARY), result.recording)
-    index, log = index_of(source).imus, None
-    if index is not None and found.imus is not None:
-        log = maker_log(index, found.skeleton, found.imus.names) or SensorLog.of_imus(found.imus, source)
+    with recording_of(result.folder, load_json(result.folder / SUMMARY), result.recording) as (source, found):
+        index, log = index_of(source).imus, None
+        if index is not None and (stream := found.streams.imus) is not None:
+            names = stream.part(slice(0, 1)).names
+            log = maker_log(index, found.facts.skeleton, names) or SensorLog.of_imus(stream, source)
     with MotionReader(motion_path(result.folder)) as reader, new_folder(folder, DESCRIPTION, overwrite) as new:
         systems = chain(sensor_systems(log) if log is not None else (), [motion_system(reader)])
         write_bids(new, systems, re.sub("[^A-Za-z0-9]", "", result.code), result.summary.subject)

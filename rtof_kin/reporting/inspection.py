@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,8 +22,8 @@ from rtof_kin.core.files.arrays import npz_names
 from rtof_kin.core.over_time import Stream
 from rtof_kin.core.signals import interpolate, runs
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import STANDARD_GRAVITY, ImuSequence
-from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
+from rtof_kin.data.imu import STANDARD_GRAVITY
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.total_capture_files import CAMERA_FILE
@@ -172,26 +171,12 @@ def _recording(path: Path) -> Inspection:
             parts = (block.p_world_joint for block in streams.truth.blocks())
             body = _with_body(body, parts, bodies.skeleton_bones(skeleton.names, skeleton.parents))
         if streams.imus is not None:
-            log = _sensors_of(streams.imus, path)
+            log = SensorLog.of_imus(streams.imus, path)
             contents.append(("IMUs", f"{_span(streams.imus.times)}: {', '.join(log.names)}"))
             checks += check_log(log)
         if streams.truth is not None:
             contents.append(("truth", f"{_span(streams.truth.times)}: {len(skeleton.names)} joints"))
     return replace(body, contents=tuple(contents), checks=(*checks, *body.checks), log=log)
-
-
-def _sensors_of(imus: Stream[ImuSequence], path: Path) -> SensorLog:
-    """Return the sensors of a recording, which are read by blocks."""
-    names, T, start = imus.part(slice(0, 1)).names, len(imus), 0
-    arrays = [(np.empty((T, 3)), np.empty((T, 3, 3))) for _ in names]
-    for block in imus.blocks():
-        rows = slice(start, start := start + len(block))
-        for s, (f, R) in enumerate(arrays):
-            f[rows], R[rows] = block.f_sensor[:, s], block.R_inertial_sensor[:, s]
-    for array in chain(*arrays):
-        array.setflags(write=False)  # shared, not copied
-    streams = (SensorStream(name, imus.times, *own) for name, own in zip(names, arrays, strict=True))
-    return SensorLog(path, "IMUs of a recording", tuple(streams), Declaration())
 
 
 def _with_truth(

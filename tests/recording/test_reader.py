@@ -192,6 +192,21 @@ def test_any_span_equals_that_of_the_whole(both: tuple[Recording, RecordingReade
     assert_same(reader.between(*span), wanted)
 
 
+def test_it_is_saved_by_blocks_as_the_whole_is_by_numpy(
+    both: tuple[Recording, RecordingReader], tmp_path: Path
+) -> None:
+    for name, recording in zip(("whole", "blocks"), both, strict=True):
+        recording.save(tmp_path / name)
+    files = [path for path in (tmp_path / "whole").glob("[!.]*") if path.suffix != ".toml"]
+    assert files
+    for file in files:
+        content = file.read_bytes()
+        assert (tmp_path / "blocks" / file.name).read_bytes() == content
+        with np.load(file) as saved:
+            np.savez_compressed(file, **saved)
+        assert file.read_bytes() == content
+
+
 # --- borders and streams that are missing --------------------------------------------------------
 
 

@@ -14,7 +14,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -220,6 +220,18 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
     contents: dict[str, Any] = dict(arrays)
     with new_file(path, overwrite) as whole, whole.open("wb") as stream:
         (np.savez_compressed if compressed else np.savez)(stream, **contents)
+
+
+def write_npz_blocks(path: Path, arrays: Mapping[str, tuple[tuple[int, ...], Iterable[NDArray[Any]]]]) -> None:
+    """Write the bytes of `write_npz` from arrays by blocks of rows: by name, the shape of the whole and its blocks."""
+    with new_file(path) as whole, zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, (shape, blocks) in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                for number, block in enumerate(map(np.ascontiguousarray, blocks)):
+                    head = {"descr": np.lib.format.dtype_to_descr(block.dtype), "fortran_order": False, "shape": shape}
+                    if not number:
+                        np.lib.format.write_array_header_1_0(stream, head)
+                    stream.write(block.tobytes())
 
 
 def write_csv(path: Path, columns: Mapping[str, Array], overwrite: bool = False) -> None:
