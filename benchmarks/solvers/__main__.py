@@ -8,7 +8,6 @@ other work shows longer times. ``--quick`` looks at little of everything, in a m
 from __future__ import annotations
 
 import os
-import platform
 from dataclasses import asdict
 from time import perf_counter
 from typing import Any
@@ -24,6 +23,7 @@ from benchmarks.solvers.alone import build_times, by_duration, by_length, by_sen
 from benchmarks.solvers.measuring import Effort, Notify
 from benchmarks.solvers.report import figure, markdown
 from benchmarks.solvers.side_by_side import N, cartesian, joint
+from rtof_kin.core.environment import processor
 
 
 def everything(effort: Effort, notify: Notify) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
         task = progress.add_task("...", total=None)
         measured = everything(effort, lambda what: progress.update(task, description=what))
     machine = {
-        "processor": platform.processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": threads,
         "N": N,

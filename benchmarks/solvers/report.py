@@ -81,6 +81,7 @@ def markdown(result: dict[str, Any]) -> str:
         "command": result["command"],
         "N": N,
         "threads": result["machine"]["threads"],
+        "processor": result["machine"]["processor"],
         "cartesian": table(c["rows"], {**_COMMON, **_RATE}),
         "runs": effort["runs"],
         "cartesian_share": 100 * c["ceres_share_in_python"],
@@ -101,7 +102,8 @@ def markdown(result: dict[str, Any]) -> str:
 
 _TEXT = """# Solvers side by side
 
-`{command}`: demo recording, N = {N}, 8 sensors, from SF2, one core (OMP_NUM_THREADS={threads}).
+`{command}`: demo recording, N = {N}, 8 sensors, from SF2, one core (OMP_NUM_THREADS={threads}) of
+{processor}.
 Medians over fragments, of gradients and violations the largest. Every answer is scored by the package's
 own energy and gradient; "to the best" compares it with the lowest energy that a solver of the same table
 found for that fragment. Solvers that take seconds were given fewer fragments. `solvers.png` shows one

@@ -216,7 +216,7 @@ def result() -> dict[str, Any]:
     }
     return {
         "command": "python -m benchmarks solvers",
-        "machine": {"threads": "1"},
+        "machine": {"threads": "1", "processor": "one"},
         "effort": asdict(measuring.Effort()),
         "cartesian": {"rows": rows, **common},
         "joint": {
