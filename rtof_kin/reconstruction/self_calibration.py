@@ -417,9 +417,10 @@ def _angular_velocities(
 ) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
     """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
     tasks, parts = [partial(_velocities_of, replace(job, progress=silent)) for job in jobs], []
-    for done, found in enumerate(in_order(tasks, workers), start=1):
-        jobs[0].progress("lift", done, len(jobs))
+    jobs[0].progress("lift", 0, len(jobs))
+    for found in in_order(tasks, workers):
         parts.append(found)
+        jobs[0].progress("lift", len(parts), len(jobs))
     for found in parts:
         if isinstance(found, RtofError):
             raise found
