@@ -45,7 +45,6 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError, reading
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors, short_floats
-from rtof_kin.core.files.text import load_toml
 from rtof_kin.data.confidence import Confidence, valid_covariances
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -144,7 +143,27 @@ MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observ
 STORED: Final = ("p_world_joint", "rotvec_world_bone")
 _WHOLE: Final = ("p_world_joint", "R_world_bone")  #: Poses in a file of version 1
 COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
-ABOUT: Final = load_toml(Path(__file__).with_suffix(".toml"))  #: Attributes of the arrays
+_COVARIANCE: Final = "one row for each of covariance_frames; xx, yy, zz, xy, xz, yz"
+ABOUT: Final = {
+    "times": {"unit": "s", "shape": "(T,) frames"},
+    "q": {"unit": "m, 1, rad", "frame": "world", "shape": "(T, nq): root x y z, quaternion x y z w, dof_names"},
+    "valid": {"unit": "1", "shape": "(T, J)"},
+    "provenance": {"unit": "1", "shape": f"(T, J): {', '.join(f'{p.value} {p.name.lower()}' for p in Provenance)}"},
+    "orientation_observed": {"unit": "1", "shape": "(T, J)"},
+    "direction_observed": {"unit": "1", "shape": "(T, J)"},
+    "poses_stored": {"unit": "1", "shape": "(T,): whether the poses of a frame are not those of q"},
+    "p_world_joint": {"unit": "m", "frame": "world", "shape": "(T, J, 3)"},
+    "rotvec_world_bone": {"unit": "rad", "frame": "segment to world", "shape": "(T, J, 3)"},
+    "covariance_frames": {"unit": "1", "shape": "(K,) frames, linear in between"},
+    "position_covariance": {"unit": "m^2", "frame": "world", "shape": f"(K, J, 6): {_COVARIANCE}"},
+    "relative_covariance": {
+        "unit": "m^2",
+        "frame": "world, relative to the root",
+        "shape": f"(K, J, 6): {_COVARIANCE}",
+    },
+    "turn_covariance": {"unit": "rad^2", "frame": "of confidence_pairs", "shape": f"(K, P, 6): {_COVARIANCE}"},
+}
+"""Attributes of the arrays."""
 _Q_BITS: Final = 24  #: [bits] after the point: errors of up to 0.03 um and 2e-6 deg
 _SAME: Final = 1e-5
 """Largest difference of positions, m, and entries of rotations that are the forward kinematics of q."""

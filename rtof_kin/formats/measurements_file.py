@@ -39,7 +39,6 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, reading
 from rtof_kin.core.files.hdf5 import ArrayFile, BlockWriter, Hdf5Writer, multiples, rotation_vectors
-from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.over_time import Sampled
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
@@ -54,7 +53,20 @@ CAMERA: Final = ("K", "R_camera_world", "t_camera_world", "distortion")
 FULL: Final = 255  #: Number in the file of a confidence of 1
 _CONSTANT: Final = ("quat_wxyz_bone_sensor", "p_bone_sensor", "K_still", "video_K", "video_distortion")
 """Arrays, or ends of their names, that do not have one row per frame."""
-_ABOUT: Final = load_toml(Path(__file__).with_suffix(".toml"))  #: Attributes of the arrays by the end of their names
+_ABOUT: Final = {
+    "times": {"unit": "s", "shape": "(T,) frames"},
+    "uv_px": {"unit": "px", "frame": "image of the camera", "shape": "(T, L, 2)"},
+    "confidence": {"unit": "1/255", "shape": "(T, L)"},
+    "video_times": {"unit": "s", "shape": "(T,), on the clock of the video"},
+    "rotvec_still_camera": {"unit": "rad", "frame": "camera to its mean orientation", "shape": "(T, 3)"},
+    "rotvec_world_sensor": {"unit": "rad", "frame": "sensor to world", "shape": "(T, S, 3)"},
+    "quat_wxyz_bone_sensor": {"unit": "1", "frame": "sensor to segment", "shape": "(S, 4)"},
+    "p_bone_sensor": {"unit": "m", "frame": "segment", "shape": "(S, 3)"},
+    "truth_p_world_joint": {"unit": "m", "frame": "world", "shape": "(T, J, 3)"},
+    "truth_rotvec": {"unit": "rad", "frame": "segment to world", "shape": "(T, J, 3)"},
+    "truth_valid": {"unit": "1", "shape": "(T, J)"},
+}
+"""Attributes of the arrays by the end of their names."""
 _PIXEL_BITS: Final = 6  #: [bits] after the point: 1/128 px of error, far below that of a detector
 _SENSOR_BITS: Final = 15  #: 0.0015 deg of error
 _TRUTH_BITS: Final = 13  #: 0.006 deg of error

@@ -228,8 +228,9 @@ def write_npz_blocks(path: Path, arrays: Mapping[str, tuple[tuple[int, ...], Ite
         for name, (shape, blocks) in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
                 for number, block in enumerate(map(np.ascontiguousarray, blocks)):
-                    head = {"descr": np.lib.format.dtype_to_descr(block.dtype), "fortran_order": False, "shape": shape}
                     if not number:
+                        kind = np.lib.format.dtype_to_descr(block.dtype)
+                        head = {"descr": kind, "fortran_order": False, "shape": shape}
                         np.lib.format.write_array_header_1_0(stream, head)
                     stream.write(block.tobytes())
 

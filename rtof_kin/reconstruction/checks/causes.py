@@ -220,8 +220,9 @@ def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
     some = np.isfinite(differences).any(axis=1)
     if not some.any():
         return None
-    best = int(np.argmin(np.nanmean(differences[some], axis=1)))
-    return differences[some][best], float(np.nanmean(moved.by_sensor(steps[some][best])))
+    steps, differences = steps[some], differences[some]
+    best = int(np.argmin(np.nanmean(differences, axis=1)))
+    return differences[best], float(np.nanmean(moved.by_sensor(steps[best])))
 
 
 # --- one sensor ----------------------------------------------------------------------------------

@@ -212,9 +212,9 @@ class FragmentProblem:
 def fragment_problem(
     parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings, points: Points = ()
 ) -> FragmentProblem:
-    """Return the problem of `FragmentProblem`, built once for all bodies and weights k that share a tree."""
+    """Return the problem of `FragmentProblem`, built once for all bodies, weights k and solvers that share a tree."""
     with BUILDING:
-        any_weights = replace(settings, k_V=1.0, k_I=1.0, k_A=1.0, k_B=1.0, k_S=1.0)
+        any_weights = replace(settings, k_V=1.0, k_I=1.0, k_A=1.0, k_B=1.0, k_S=1.0, ipopt=False)
         return _cached_problem(parents, frames, sensor_bones, any_weights, points)
 
 
