@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import fftconvolve
+import scipy
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.clock_scan import (
@@ -291,13 +291,13 @@ def find_video_offset(first: PoseSequence, second: PoseSequence, around: float |
     """
     v_1, v_2 = _velocities(first), _velocities(second)
     K, M = len(v_1), len(v_2)
-    ones = fftconvolve(np.ones(K), np.ones(M))
-    E_1 = fftconvolve(np.einsum("tji,tji->t", v_1, v_1), np.ones(M))
-    E_2 = fftconvolve(np.ones(K), np.einsum("tji,tji->t", v_2, v_2)[::-1])
+    ones = scipy.signal.fftconvolve(np.ones(K), np.ones(M))
+    E_1 = scipy.signal.fftconvolve(np.einsum("tji,tji->t", v_1, v_1), np.ones(M))
+    E_2 = scipy.signal.fftconvolve(np.ones(K), np.einsum("tji,tji->t", v_2, v_2)[::-1])
     flat_1, flat_2 = v_1.reshape(K, -1, 3), v_2[::-1].reshape(M, -1, 3)
     H = np.zeros((K + M - 1, 3, 3))
     for a, b in ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)):
-        H[:, a, b] = fftconvolve(flat_1[..., a], flat_2[..., b], axes=0).sum(axis=1)
+        H[:, a, b] = scipy.signal.fftconvolve(flat_1[..., a], flat_2[..., b], axes=0).sum(axis=1)
     alike = np.hypot(H[:, 0, 0] + H[:, 1, 1], H[:, 0, 1] - H[:, 1, 0]) + H[:, 2, 2]
     correlation = np.clip(alike / np.sqrt(np.maximum(E_1 * E_2, 1e-12)), 0.0, 0.999)
     gains = -0.5 * ones / VIDEO_HZ * _SAMPLES_HZ * np.log1p(-(correlation**2))

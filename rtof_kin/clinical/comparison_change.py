@@ -32,7 +32,7 @@ from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
-from scipy import optimize, special, stats
+import scipy
 
 from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.core.array_types import Array
@@ -72,10 +72,10 @@ class MixedError:
     def p(self, difference: float) -> float:
         """Return the two-sided p-value of a difference, in the unit of the error."""
         if not np.isfinite(self.dof) or not self.estimated:
-            return float(special.erfc(abs(difference) / self.sigma / np.sqrt(2)))
+            return float(scipy.special.erfc(abs(difference) / self.sigma / np.sqrt(2)))
         chi2, weights = _average(self.dof)
         sigmas = np.sqrt(self.known + self.estimated * self.dof / chi2)
-        return float(weights @ special.erfc(abs(difference) / sigmas / np.sqrt(2)))
+        return float(weights @ scipy.special.erfc(abs(difference) / sigmas / np.sqrt(2)))
 
     def half_width(self, level: float) -> float:
         """Return the difference whose p-value is a level; NaN if the error is unknown; level: two-sided, e.g. 0.05 for
@@ -88,18 +88,18 @@ class MixedError:
 def _half_width(error: MixedError, level: float) -> float:
     if not error.sigma > 0:
         return float("nan")
-    z = stats.norm.isf(level / 2)
+    z = scipy.stats.norm.isf(level / 2)
     if not np.isfinite(error.dof) or not error.estimated:
         return float(z * error.sigma)
-    most = z * np.sqrt(error.known) + stats.t.isf(level / 2, error.dof) * np.sqrt(error.estimated)
-    return float(optimize.brentq(lambda h: error.p(h) - level, 0.0, 1.01 * most, rtol=1e-8))
+    most = z * np.sqrt(error.known) + scipy.stats.t.isf(level / 2, error.dof) * np.sqrt(error.estimated)
+    return float(scipy.optimize.brentq(lambda h: error.p(h) - level, 0.0, 1.01 * most, rtol=1e-8))
 
 
 @lru_cache(maxsize=256)
 def _average(dof: float) -> tuple[Array, Array]:
     """Nodes and weights of the mean over chi^2."""
-    chi2 = np.geomspace(float(stats.chi2.ppf(_TAIL, dof)), float(stats.chi2.isf(_TAIL, dof)), _NODES)
-    weights = stats.chi2.pdf(chi2, dof) * chi2
+    chi2 = np.geomspace(float(scipy.stats.chi2.ppf(_TAIL, dof)), float(scipy.stats.chi2.isf(_TAIL, dof)), _NODES)
+    weights = scipy.stats.chi2.pdf(chi2, dof) * chi2
     return chi2, weights / weights.sum()
 
 

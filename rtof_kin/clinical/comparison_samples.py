@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.signal import fftconvolve
+import scipy
 
 from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.clinical.angle_table import SIDES
@@ -299,7 +299,8 @@ def _correlations(a: Array, b: Array) -> Array:
     """Sums (3, L) over the overlap at every lag: v_A v_B, v_A^2 and v_B^2 where the other is known."""
     reverse = b[::-1]
     known_a, known_b = (a != 0).astype(float), (reverse != 0).astype(float)
-    return np.stack([fftconvolve(*pair) for pair in ((a, reverse), (a**2, known_b), (known_a, reverse**2))])
+    pairs = (a, reverse), (a**2, known_b), (known_a, reverse**2)
+    return np.stack([scipy.signal.fftconvolve(*pair) for pair in pairs])
 
 
 def _jackknife(peaks: Array) -> float:

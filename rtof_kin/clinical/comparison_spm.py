@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL
@@ -120,7 +120,7 @@ def _welch(spm1d: Any, a: Array, b: Array) -> Any:
     spread, a quarter had a false cluster.
     """
     field = spm1d.stats.ttest2(b, a, equal_var=True)
-    found = stats.ttest_ind(b, a, axis=0, equal_var=False)
+    found = scipy.stats.ttest_ind(b, a, axis=0, equal_var=False)
     field.z, field.df = np.asarray(found.statistic), (1, float(np.median(found.df)))
     return field
 

@@ -29,7 +29,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from rtof_kin.clinical.comparison_change import (
     LEVEL,
@@ -110,7 +110,7 @@ def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
 
 def shown_mostly(error: MixedError, needed: float) -> float:
     """Return the true change that is shown with a probability of `POWER`."""
-    return needed + float(stats.norm.ppf(POWER)) * error.sigma
+    return needed + float(scipy.stats.norm.ppf(POWER)) * error.sigma
 
 
 _TURN: Final = 2 * np.pi

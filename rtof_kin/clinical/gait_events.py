@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import find_peaks
+import scipy
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.paths import BodyPaths
@@ -120,7 +120,7 @@ def _maxima(times: Array, ahead: Array, rate_hz: float) -> Array:
     for start, stop in signals.runs(np.isfinite(ahead)):
         stretch = smoothed(ahead[start:stop], rate_hz, CUTOFF_HZ)
         distance = max(1, round(LEAST_STRIDE * rate_hz))
-        for peak in find_peaks(stretch, distance=distance, prominence=LEAST_SWING)[0]:
+        for peak in scipy.signal.find_peaks(stretch, distance=distance, prominence=LEAST_SWING)[0]:
             shift, at = signals.vertex(*stretch[peak - 1 : peak + 2]), start + peak
             found.append(float(np.interp(shift, [-1, 0, 1], times[at - 1 : at + 2])))
     return np.array(found)

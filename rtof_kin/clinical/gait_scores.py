@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.gait_variables import GaitCycles
@@ -131,7 +131,7 @@ def side_curves(cycles: GaitCycles, side: str) -> SideCurves:
             pose[v] = cycles.sigma[known[:, v], v].mean(axis=0) ** 2
         if n > 1:
             strides[v] = rows.var(axis=0, ddof=1) / n
-            bound[v] = (stats.t.ppf(0.975, n - 1) / BAND_95) ** 2 * strides[v]
+            bound[v] = (scipy.stats.t.ppf(0.975, n - 1) / BAND_95) ** 2 * strides[v]
     return SideCurves(mean, pose, strides, bound, own)
 
 

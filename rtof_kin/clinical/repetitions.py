@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, get_args
 
 import numpy as np
-from scipy.signal import find_peaks
+import scipy
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
@@ -124,7 +124,7 @@ def _dips(times: Array, height: Array, rate_hz: float, leg: float) -> list[Repet
     least = LEAST_DROP * leg
     # A recording may begin or end below: its outside counts as standing.
     outside = [height.max() + 1]
-    bottoms = find_peaks(-np.concatenate([outside, height, outside]), prominence=least)[0] - 1
+    bottoms = scipy.signal.find_peaks(-np.concatenate([outside, height, outside]), prominence=least)[0] - 1
     out = []
     for k, bottom in enumerate(bottoms):
         first = bottoms[k - 1] if k else 0

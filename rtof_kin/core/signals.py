@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from rtof_kin.core import rotations as so3
@@ -109,18 +110,14 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
     """Apply a zero-phase Butterworth low-pass (-3 dB of one pass at `cutoff_hz`) along the first axis, forwards and
     backwards.
     """
-    from scipy import signal  # slow to import
-
     values, sos = np.asarray(values, dtype=float), _butterworth(order, cutoff_hz, rate_hz)
     padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
+    return np.asarray(scipy.signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
 
 
 @lru_cache(maxsize=64)
 def _butterworth(order: int, cutoff_hz: float, rate_hz: float) -> Array:
-    from scipy import signal  # slow to import
-
-    return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
+    return np.asarray(scipy.signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:

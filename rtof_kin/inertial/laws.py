@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -77,8 +77,8 @@ def delay(stream: SensorStream) -> float:
     power = np.linalg.norm(of_R) * np.linalg.norm(of_gyroscope)
     if not power > 0:
         return float("nan")
-    correlation = signal.correlate(of_gyroscope, of_R) / power
-    lags = signal.correlation_lags(len(of_R), len(of_R))
+    correlation = scipy.signal.correlate(of_gyroscope, of_R) / power
+    lags = scipy.signal.correlation_lags(len(of_R), len(of_R))
     near = np.abs(lags) <= min(len(stream) // 4, max(stream.rate_hz, 5.0))
     correlation, lags = correlation[near], lags[near]
     best = int(np.argmax(correlation))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -241,13 +242,11 @@ def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
 
 def _correlation(a: Array, b: Array, least: int) -> tuple[dict[str, Array], Array]:
     """Return lags, and normalised correlations of a (n, 3) with turned b (m, 3) by how the phone is held."""
-    from scipy.signal import correlate  # slow to import
-
     lags = np.arange(-(len(b) - 1.0), len(a))
-    C = np.array([[correlate(a[:, i], b[:, j], method="fft") for j in range(3)] for i in range(3)])
-    count = correlate(np.ones(len(a)), np.ones(len(b)), method="fft")
-    energy_a = correlate((a**2).sum(axis=1), np.ones(len(b)), method="fft")
-    energy_b = correlate(np.ones(len(a)), (b**2).sum(axis=1), method="fft")
+    C = np.array([[scipy.signal.correlate(a[:, i], b[:, j], method="fft") for j in range(3)] for i in range(3)])
+    count = scipy.signal.correlate(np.ones(len(a)), np.ones(len(b)), method="fft")
+    energy_a = scipy.signal.correlate((a**2).sum(axis=1), np.ones(len(b)), method="fft")
+    energy_b = scipy.signal.correlate(np.ones(len(a)), (b**2).sum(axis=1), method="fft")
     # Far fewer turns than usual would make chance matches look good.
     floor = [0.05 * np.mean((x**2).sum(axis=1)) * count for x in (a, b)]
     norm = np.sqrt(np.maximum(energy_a, floor[0]) * np.maximum(energy_b, floor[1]))

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import scipy
 from markupsafe import Markup
-from scipy import stats
 
 from rtof_kin.clinical.comparison_change import LEVEL, MixedError
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
@@ -288,7 +288,7 @@ def _cautions(found: FollowUp) -> list[str]:
     unequal = []  # measures whose spread differs between visits, by Bartlett's test
     for one in found.measures:
         groups = [own.values for own in one.visits if own is not None and np.ptp(own.values) > 0]
-        if len(groups) > 1 and stats.bartlett(*groups).pvalue < LEVEL / len(found.measures):
+        if len(groups) > 1 and scipy.stats.bartlett(*groups).pvalue < LEVEL / len(found.measures):
             unequal.append(name_of(one.measure))
     if unequal:
         lines.append(

@@ -19,6 +19,7 @@ from __future__ import annotations
 import json
 import math
 import time as clock
+from array import array
 from collections import deque
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -59,28 +60,28 @@ _EXCESS: Final = 1e-6  # [rad], and relative to a velocity limit, that counts as
 class Tracking:
     """What was reached."""
 
-    rows: list[tuple[float, ...]] = field(default_factory=list)
-    """By frame: angle, velocity beyond its limit; lowest point of the soles, m; mean distance of hands and soles from
-    their targets, m; mean turn of links from theirs, rad; time, s."""
+    numbers: array[float] = field(default_factory=lambda: array("d"))
+    """Six by frame: angle, velocity beyond its limit; lowest point of the soles, m; mean distance of hands and soles
+    from their targets, m; mean turn of links from theirs, rad; time, s."""
     slips: list[float] = field(default_factory=list)  #: [m] farthest along the floor of each point, by stance
     failures: list[str] = field(default_factory=list)  #: Sentences, with the time
     farthest: tuple[float, str, float] = (0.0, "", 0.0)  #: Hand or foot farthest from its target: m, link, s
 
     def figures(self) -> dict[str, float]:
         """Return mm, degrees, shares of the frames and ms; NaN where there is none."""
-        slips, none = 1000 * np.array(self.slips or [np.nan]), [(np.nan,) * 6]
-        outside, fast, lowest, ends, turns, seconds = np.array(self.rows or none).T
-        found = {"frames": len(self.rows), "stances": len(self.slips), "slip_mm": slips.mean(), "most_mm": slips.max()}
+        slips, rows = 1000 * np.array(self.slips or [np.nan]), np.array(self.numbers or [np.nan] * 6).reshape(-1, 6)
+        outside, fast, lowest, ends, turns, seconds = rows.T
+        found = {"frames": len(self.numbers) // 6, "broken": ((outside > 0) | (fast > 0)).sum()}
+        found |= {"stances": len(self.slips), "slip_mm": slips.mean(), "most_mm": slips.max()}
         found |= {"outside": outside.mean(), "fast": fast.mean(), "below_mm": -1000 * min(lowest.min(), 0.0)}
         found |= {"ends_mm": 1000 * ends.mean(), "turns_deg": np.degrees(turns.mean())}
         return found | {f"p{p}_ms": 1000 * np.percentile(seconds, p) for p in (50, 99)}
 
     def __str__(self) -> str:
         found = self.figures()
-        broken = sum(bool(row[0] or row[1]) for row in self.rows)
         return (
             f"feet slip {found['slip_mm']:.1f} mm (most {found['most_mm']:.1f}) in {len(self.slips)} stances; limits "
-            f"broken in {broken} of {len(self.rows)} frames; hands and feet {found['ends_mm']:.0f} mm, links "
+            f"broken in {found['broken']} of {found['frames']} frames; hands and feet {found['ends_mm']:.0f} mm, links "
             f"{found['turns_deg']:.1f} deg from their targets, farthest {self.farthest[1]}, "
             f"{1000 * self.farthest[0]:.0f} mm at {self.farthest[2]:.1f} s; {found['p99_ms']:.0f} ms a frame (99 %)"
         )
@@ -297,7 +298,7 @@ class Retargeter:
         ends, turns = np.linalg.norm(errors[self._ends, :3], axis=1), np.linalg.norm(errors[turned, 3:], axis=1)
         fast = (rates > model.velocityLimit[6:] * (1 + _EXCESS)).any()
         track.farthest = max(track.farthest, (ends.max(), self.map.link[self._ends[ends.argmax()]].name, self._time))
-        track.rows.append((outside, fast, places[:, 2].min(), ends.mean(), turns.mean(), seconds))
+        track.numbers.extend((outside, fast, places[:, 2].min(), ends.mean(), turns.mean(), seconds))
 
     def finish(self) -> None:
         """End the stances."""
