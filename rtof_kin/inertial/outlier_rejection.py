@@ -265,9 +265,10 @@ def _check_gravity(imus: ImuSequence, R_world_inertial: Array, repeats: Mask) ->
     if not wrong.any():
         return Check(GRAVITY, "sensors", value, most, "m/s2")
     undone = np.array([off(mistake) <= limit for mistake in _MISTAKES])
-    explains = [k for k, holds in enumerate(undone) if np.mean(holds[wrong]) >= _EXPLAINED]
+    little = value < _UNEXPLAINED * most  # then a mistake of one sensor fits by chance: all must have it
+    explains = [k for k, holds in enumerate(undone) if np.mean(holds[judged if little else wrong]) >= _EXPLAINED]
     names = _listed(imus.names, wrong)
-    if not explains and value < _UNEXPLAINED * most:
+    if not explains and little:
         why = f"{names}: {value:.2g} m/s2, more than usual; no mistake explains it, a brisk movement may"
         return Check.unknown(GRAVITY, "sensors", "m/s2", why)
     if not explains:

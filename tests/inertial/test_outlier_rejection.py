@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import Verdict
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import find_disagreements, reject_imu_outliers
+from rtof_kin.inertial.outlier_rejection import check_form, find_disagreements, reject_imu_outliers
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -123,3 +124,18 @@ def test_disagreements_have_beginning_and_end() -> None:
     assert (fault.kind, fault.what) == (FaultKind.DISAGREES, "LeftForeArm")
     assert fault.start == pytest.approx(1.0, abs=0.1)
     assert fault.stop == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_mistake_that_only_one_of_many_sensors_would_have_by_chance_is_not_named() -> None:
+    quarter, leaning = so3.about_axis("x", np.pi / 2), so3.about_axis("y", np.radians(3.5))
+    R = np.tile([leaning, quarter, quarter], (2400, 1, 1, 1))
+    right = np.swapaxes(R, -1, -2) @ [0.0, 0.0, 9.81] + 0.05 * np.random.default_rng(0).standard_normal((2400, 3, 3))
+    chance = right.copy()
+    chance[:, 0] = leaning @ [0.0, 0.0, 9.81] + 0.05 * np.random.default_rng(1).standard_normal((2400, 3))
+    times, worlds, names = np.arange(2400) / 60.0, np.tile(np.eye(3), (3, 1, 1)), ("a", "b", "c")
+    one = check_form(ImuSequence(times, R, chance, names), worlds)[1]  # 1.2 m/s2 off, none with the inverse
+    every = check_form(ImuSequence(times, np.swapaxes(R, -1, -2), right, names), worlds)[1]
+    assert one.verdict is Verdict.NOT_POSSIBLE
+    assert "a: 1.2 m/s2, more than usual" in one.advice
+    assert every.subject == "all sensors"
+    assert "inverted" in every.cause
