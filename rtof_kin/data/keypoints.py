@@ -61,16 +61,18 @@ class KeypointSequence(OverTime):
             freeze(self, "keypoints", own_times=(T,))
         if self.turning is not None:
             readonly("keypoints turning", self.turning.R_still_camera, (T, 3, 3))
-        uv, confidence = self.uv_px.copy(), self.confidence.copy()
+        uv, confidence = self.uv_px, self.confidence
         if np.any((confidence < 0) | (confidence > 1)):
             raise InvalidInputError("keypoints confidence: outside [0, 1]; divide by the detector's maximum")
         if np.any(np.isinf(uv)):
             raise InvalidInputError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
         missing = np.isnan(uv).any(axis=-1) | ~(confidence > 0)
-        uv[missing], confidence[missing] = np.nan, 0.0
-        set_(self, "uv_px", uv)
-        set_(self, "confidence", confidence)
-        freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
+        if confidence[missing].any() or not np.isnan(uv[missing]).all():
+            uv, confidence = uv.copy(), confidence.copy()
+            uv[missing], confidence[missing] = np.nan, 0.0
+            set_(self, "uv_px", uv)
+            set_(self, "confidence", confidence)
+            freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
 
     def columns(self) -> dict[str, Array]:
         """Return columns (T,) of a detector's table: times, and its own points, else landmarks."""

@@ -173,23 +173,23 @@ def write_frames_picture(
     best = [int(part[np.argmax(seen[part] >= 0.98 * seen[part].max())]) for part in parts]
     frames = [frame for frame in best if seen[frame] > 0]
     images = {} if video is None else _images(video, frames)
-    joints = [_joints(people, n, layout) for n in range(len(people))]
+    joints = [_joints(people, n, layout, frames) for n in range(len(people))]
     columns = 3 if image_px[0] >= image_px[1] else _PANELS
     rows = -(-len(frames) // columns)
     width = _PANEL_INCHES if columns == 3 else _PANEL_INCHES * 0.7
     panel = (width, width * image_px[1] / image_px[0])
     figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
-    for axes, frame in zip(figure.subplots(rows, columns, squeeze=False).flat, frames, strict=False):
-        shown = [(uv[frame], bones) for uv, bones in joints]
+    for axes, (i, frame) in zip(figure.subplots(rows, columns, squeeze=False).flat, enumerate(frames), strict=False):
+        shown = [(uv[i], bones) for uv, bones in joints]
         _draw(axes, f"{people.times[frame]:.2f} s", shown, image_px, images.get(frame))
     for axes in figure.axes:
         axes.set_axis_off()
     figure.draw_without_rendering()  # places the panels
     boxes = []
-    for axes, frame in zip(figure.axes, frames, strict=False):
+    for axes, i in zip(figure.axes, range(len(frames)), strict=False):
         for number, (uv, _) in enumerate(joints, start=1):
-            seen_px = uv[frame][np.isfinite(uv[frame]).all(axis=-1)]
+            seen_px = uv[i][np.isfinite(uv[i]).all(axis=-1)]
             if len(seen_px):
                 corners = [seen_px.min(axis=0), seen_px.max(axis=0)]
                 (x0, y1), (x1, y0) = figure.transFigure.inverted().transform(axes.transData.transform(corners))
@@ -225,11 +225,14 @@ def _images(video: str | Path, frames: Sequence[int]) -> dict[int, NDArray[np.ui
     return found
 
 
-def _joints(people: People, column: int, layout: str) -> tuple[Array, list[tuple[int, int]]]:
-    """Return the joints (T, J, 2) of a person, px, and the pairs of them that a bone connects."""
+def _joints(people: People, column: int, layout: str, frames: Sequence[int]) -> tuple[Array, list[tuple[int, int]]]:
+    """Return the joints (n, J, 2) of a person in some frames, px, and the pairs of them that a bone connects."""
     skeleton = SkeletonModel.default()
-    uv, confidence = people.detections.uv_px[:, column], people.detections.confidence[:, column]
-    found = LandmarkRegression.default().apply(layout, uv, confidence)
+    uv, confidence = people.detections.uv_px[frames, column], people.detections.confidence[frames, column]
+    try:
+        found = LandmarkRegression.default().apply(layout, uv, confidence)
+    except InvalidInputError:  # not seen in these
+        return np.full((len(frames), 1, 2), np.nan), []
     index = {name: i for i, name in enumerate(found.names) if name in skeleton.names}
     parents = (skeleton.names[parent] if parent >= 0 else "" for parent in skeleton.parents)
     pairs = zip(parents, skeleton.names, strict=True)

@@ -127,9 +127,8 @@ def run(
     if second.second:
         step(JOINED, join, own, folder / SECOND, str(task.model), second.synchronised)
         own = folder / JOINED
-    recording = Recording.load(own)
-    task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
-    del recording  # a long one is read in parts
+    with RecordingReader.open(own) as recording:
+        task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.facts.notes
     solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
     known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
     step(MOTION, solved, own, str(task), str(settings), str(known), *given)

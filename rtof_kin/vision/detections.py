@@ -63,17 +63,18 @@ class Detections:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        uv = np.array(readonly("detections uv_px", self.uv_px, ("T", "P", "K", 2)))
-        confidence = np.array(readonly("detections confidence", self.confidence, uv.shape[:3]))
+        uv = readonly("detections uv_px", self.uv_px, ("T", "P", "K", 2))
+        confidence = readonly("detections confidence", self.confidence, uv.shape[:3])
         if 0 in uv.shape:
             raise InvalidInputError("there is no person in any frame; check the detector's output")
         low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
         if high > _HIGHEST_CONFIDENCE or low < 0:
             problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1 (divide by the detector's maximum)"
             raise InvalidInputError(f"detections confidence: {problem}")
-        confidence = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
-        missing = ~np.isfinite(uv).all(axis=-1) | (confidence == 0)
-        uv[missing], confidence[missing] = np.nan, 0.0
+        missing = ~(np.isfinite(uv).all(axis=-1) & (confidence > 0))
+        if high > 1 or confidence[missing].any() or not np.isnan(uv[missing]).all():
+            uv, confidence = uv.copy(), np.clip(confidence, 0.0, 1.0)
+            uv[missing], confidence[missing] = np.nan, 0.0
         set_(self, "uv_px", readonly("detections uv_px", uv, uv.shape))
         set_(self, "confidence", readonly("detections confidence", confidence, uv.shape[:3]))
         if self.times is not None:

@@ -102,8 +102,8 @@ def keypoints_from_detections(
     regression = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)
     recognition = recognise(found.uv_px, found.confidence, found.names, layout, regression)
-    uv, confidence = (array[:, :, recognition.order] for array in (found.uv_px, found.confidence))
-    found = Detections(uv, confidence, identity=found.identity)
+    if recognition.order != tuple(range(found.uv_px.shape[2])):
+        found = found.of_points(recognition.order)
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
     uv, confidence = track.of(found)
     # Refuse points that lie mostly outside the image: the camera belongs to another video.

@@ -46,8 +46,9 @@ class PersonTrack:
     def of(self, detections: Detections) -> tuple[Array, Array]:
         """Return the person's points (T, K, 2), px, and confidence (T, K); NaN and 0 where lost."""
         frames, index = np.arange(len(self.person)), np.maximum(self.person, 0)
-        uv = np.where(self.lost[:, None, None], np.nan, detections.uv_px[frames, index])
-        return uv, np.where(self.lost[:, None], 0.0, detections.confidence[frames, index])
+        uv, confidence = detections.uv_px[frames, index], detections.confidence[frames, index]
+        uv[self.lost], confidence[self.lost] = np.nan, 0.0
+        return uv, confidence
 
     def in_space(self, detections: Detections) -> Array | None:
         """Return the person's points in space (T, K, 3), m, NaN where lost; None where the detector gave none."""
@@ -72,6 +73,7 @@ class _Measures:
         self.confidence: Array = detections.confidence.sum(axis=-1)
         none = np.full(self.present.shape, NO_IDENTITY)
         self.identity: Ints = none if detections.identity is None else detections.identity
+        self.identified = bool((self.identity[self.present] != NO_IDENTITY).all())
 
 
 @dataclass(eq=False)
@@ -90,7 +92,7 @@ class _Trail:
     def extend(self, measures: _Measures, t: int, person: int, now: float) -> None:
         """Append person number `person` of frame `t`, at time `now`, s."""
         points, size = measures.uv[t, person], float(measures.size[t, person])
-        if self.frames:
+        if self.frames and not measures.identified:  # else the velocity is not looked at
             moved = points - self.points
             both = np.isfinite(moved).all(axis=-1)
             if both.sum() >= _FEW_POINTS:
@@ -197,6 +199,9 @@ def _trails(measures: _Measures, times: Array) -> list[_Trail]:
 
 def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], now: float) -> None:
     """Assign the people of a frame to trails with the least total distance; the others begin trails of their own."""
+    if len(trails) == len(people) == 1 and np.isfinite(trails[0].distance(measures, t, people[0], now)):
+        trails[0].extend(measures, t, people[0], now)
+        return
     far = np.reshape(
         [trail.distance(measures, t, p, now) for trail in trails for p in people], (len(trails), len(people))
     )
@@ -290,6 +295,7 @@ class PersonFollower:
         if not people:
             return None
         measures = _Measures(Detections.of_frames({0: people}))
+        measures.identified = False  # those of later frames may not be
         _link(self._trails, measures, 0, np.flatnonzero(measures.present[0]).tolist(), time)
         now = [trail for trail in self._trails if trail.seen_at == time]
         for trail in now:
