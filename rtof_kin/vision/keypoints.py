@@ -30,6 +30,7 @@ from rtof_kin.vision.landmark_regression import (
 from rtof_kin.vision.layouts import OWN_LAYOUTS, Layout
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
+_BLOCK: Final = 8192  # Frames that are regressed at once
 MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
 
 
@@ -38,7 +39,6 @@ class DetectedKeypoints:
     """Keypoints of one person with their provenance."""
 
     keypoints: KeypointSequence  #: The skeleton's landmarks in the image, then the detector's own points
-    landmarks: RegressedLandmarks  #: The landmarks with expected errors
     recognition: Recognition  #: Layout of the detector
     track: PersonTrack  #: Index of the person in each frame
 
@@ -105,22 +105,31 @@ def keypoints_from_detections(
     if recognition.order != tuple(range(found.uv_px.shape[2])):
         found = found.of_points(recognition.order)
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
-    uv, confidence = track.of(found)
-    # Refuse points that lie mostly outside the image: the camera belongs to another video.
-    seen = np.isfinite(uv).all(axis=-1)
-    outside = np.any((uv < 0) | (uv > [camera.width_px, camera.height_px]), axis=-1)[seen]
-    if len(outside) and outside.mean() > MOST_OUTSIDE:
-        right, down = np.nanmax(uv, axis=(0, 1))
+    form, names = recognition.layout, keypoint_names(recognition.layout, regression)
+    uv, confidence = np.full((len(found), len(names), 2), np.nan), np.zeros((len(found), len(names)))
+    seen, outside, reach, unseen = 0, 0, np.zeros(2), list[InvalidInputError]()
+    for frames in (slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)):
+        points = track.of(found, frames)
+        shown = points[0][np.isfinite(points[0]).all(axis=-1)]
+        seen, reach = seen + len(shown), np.fmax(reach, shown.max(axis=0, initial=0.0))
+        outside += int(np.any((shown < 0) | (shown > [camera.width_px, camera.height_px]), axis=-1).sum())
+        try:
+            landmarks = regression.apply(form.name, *points)
+        except InvalidInputError as error:
+            unseen.append(error)
+        else:
+            uv[frames], confidence[frames] = with_own_points(form, landmarks, *points)
+    if outside > MOST_OUTSIDE * seen:  # the camera belongs to another video
         raise InvalidInputError(
-            f"{100 * outside.mean():.0f} % of the points lie outside of the camera's image of "
-            f"{camera.width_px} x {camera.height_px} px (they reach to {right:.0f}, {down:.0f}); give "
+            f"{100 * outside / seen:.0f} % of the points lie outside of the camera's image of "
+            f"{camera.width_px} x {camera.height_px} px (they reach to {reach[0]:.0f}, {reach[1]:.0f}); give "
             "the camera that belongs to this video"
         )
-    form = recognition.layout
-    landmarks = regression.apply(form.name, uv, confidence)
-    points = with_own_points(form, landmarks, uv, confidence)
-    keypoints = KeypointSequence(camera, times, *points, keypoint_names(form, regression))
-    return DetectedKeypoints(keypoints, landmarks, recognition, track)
+    if unseen and not confidence.any():
+        raise unseen[0]
+    for array in (uv, confidence):
+        array.setflags(write=False)
+    return DetectedKeypoints(KeypointSequence(camera, times, uv, confidence, names), recognition, track)
 
 
 def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, ...]:

@@ -38,7 +38,6 @@ ANYWHERE: Final = 1e4  # [RMS radii squared] variance of a person's place; pract
 _UPRIGHT_BONUS = 0.5  # log-likelihood per point by which a turned person must fit better
 QUARTERS: Final = tuple(np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 FEWEST_POINTS: Final = 4  # detected, for a regression
-_BLOCK: Final = 8192  # Frames that are estimated at once
 
 
 class Regression(NamedTuple):
@@ -196,11 +195,10 @@ class LandmarkRegression:
         sigma, out_confidence = np.full(out.shape[:2], np.nan), np.zeros(out.shape[:2])
         patterns, which = np.unique(seen, axis=0, return_inverse=True)
         for k in np.flatnonzero(patterns.sum(axis=1) >= FEWEST_POINTS):
-            pattern, every = patterns[k], np.flatnonzero(which.ravel() == k)
-            for frames in np.array_split(every, -(-len(every) // _BLOCK)):
-                out[frames], out_confidence[frames], sigma[frames] = self._frames(
-                    form, names, pattern, uv[frames][:, pattern], confidence[frames][:, pattern]
-                )
+            pattern, frames = patterns[k], np.flatnonzero(which.ravel() == k)
+            out[frames], out_confidence[frames], sigma[frames] = self._frames(
+                form, names, pattern, uv[frames][:, pattern], confidence[frames][:, pattern]
+            )
         if not np.any(out_confidence > 0):
             raise InvalidInputError(
                 f"keypoints in layout {layout}: in no frame are enough points detected for a joint; at "

@@ -26,6 +26,7 @@ _REACH, _REACH_RATE, _FURTHEST = 0.25, 2.0, 1.5  # [sizes], [sizes/s], [sizes] f
 _RESIZED = 1.8  # [-] largest change of size over a gap
 _AMBIGUOUS = 2.0  # [-] distance of the next best person relative to the linked one
 _SMALLEST_SIZE_PX = 1.0
+_BLOCK = 8192  # frames that are measured at once
 _FEW_POINTS = 3
 
 
@@ -43,11 +44,11 @@ class PersonTrack:
         """(T,) frames without the person."""
         return np.asarray(self.person == NOBODY)
 
-    def of(self, detections: Detections) -> tuple[Array, Array]:
-        """Return the person's points (T, K, 2), px, and confidence (T, K); NaN and 0 where lost."""
-        frames, index = np.arange(len(self.person)), np.maximum(self.person, 0)
-        uv, confidence = detections.uv_px[frames, index], detections.confidence[frames, index]
-        uv[self.lost], confidence[self.lost] = np.nan, 0.0
+    def of(self, detections: Detections, frames: slice = slice(None)) -> tuple[Array, Array]:
+        """Return the person's points (T, K, 2), px, and confidence (T, K) in some frames; NaN and 0 where lost."""
+        at, lost = (np.arange(len(self.person))[frames], np.maximum(self.person[frames], 0)), self.lost[frames]
+        uv, confidence = detections.uv_px[at], detections.confidence[at]
+        uv[lost], confidence[lost] = np.nan, 0.0
         return uv, confidence
 
     def in_space(self, detections: Detections) -> Array | None:
@@ -64,12 +65,15 @@ class _Measures:
     def __init__(self, detections: Detections):
         self.uv = uv = detections.uv_px
         self.present = detections.present
-        seen = np.isfinite(uv).all(axis=-1)
-        filled, count = np.where(np.isnan(uv), 0.0, uv), np.maximum(seen.sum(axis=-1), 1)
-        self.centre: Array = filled.sum(axis=2) / count[..., None]
-        square = np.where(seen, ((filled - self.centre[:, :, None]) ** 2).sum(axis=-1), 0.0)
-        self.size: Array = np.maximum(2 * np.sqrt(square.sum(axis=-1) / count), _SMALLEST_SIZE_PX)
+        self.centre: Array = np.empty((*uv.shape[:2], 2))
+        self.size: Array = np.empty(uv.shape[:2])
         """Twice the RMS radius, px: about half a standing person's height."""
+        for frames in (slice(start, start + _BLOCK) for start in range(0, len(uv), _BLOCK)):
+            seen = np.isfinite(uv[frames]).all(axis=-1)
+            filled, count = np.where(np.isnan(uv[frames]), 0.0, uv[frames]), np.maximum(seen.sum(axis=-1), 1)
+            self.centre[frames] = filled.sum(axis=2) / count[..., None]
+            square = np.where(seen, ((filled - self.centre[frames, :, None]) ** 2).sum(axis=-1), 0.0)
+            self.size[frames] = np.maximum(2 * np.sqrt(square.sum(axis=-1) / count), _SMALLEST_SIZE_PX)
         self.confidence: Array = detections.confidence.sum(axis=-1)
         none = np.full(self.present.shape, NO_IDENTITY)
         self.identity: Ints = none if detections.identity is None else detections.identity
