@@ -70,9 +70,9 @@ class KeypointSequence(OverTime):
         if confidence[missing].any() or not np.isnan(uv[missing]).all():
             uv, confidence = uv.copy(), confidence.copy()
             uv[missing], confidence[missing] = np.nan, 0.0
-            set_(self, "uv_px", uv)
-            set_(self, "confidence", confidence)
-            freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
+            for name, array in {"uv_px": uv, "confidence": confidence}.items():
+                array.setflags(write=False)
+                set_(self, name, array)
 
     def columns(self) -> dict[str, Array]:
         """Return columns (T,) of a detector's table: times, and its own points, else landmarks."""

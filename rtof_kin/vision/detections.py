@@ -75,8 +75,9 @@ class Detections:
         if high > 1 or confidence[missing].any() or not np.isnan(uv[missing]).all():
             uv, confidence = uv.copy(), np.clip(confidence, 0.0, 1.0)
             uv[missing], confidence[missing] = np.nan, 0.0
-        set_(self, "uv_px", readonly("detections uv_px", uv, uv.shape))
-        set_(self, "confidence", readonly("detections confidence", confidence, uv.shape[:3]))
+        for name, array in {"uv_px": uv, "confidence": confidence}.items():
+            array.setflags(write=False)
+            set_(self, name, array)
         if self.times is not None:
             times = checked_times("detections times", self.times)
             set_(self, "times", times)

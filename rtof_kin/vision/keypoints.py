@@ -118,7 +118,8 @@ def keypoints_from_detections(
         except InvalidInputError as error:
             unseen.append(error)
         else:
-            uv[frames], confidence[frames] = with_own_points(form, landmarks, *points)
+            own, confidence[frames] = with_own_points(form, landmarks, *points)
+            uv[frames] = np.where(confidence[frames, :, None] > 0, own, np.nan)
     if outside > MOST_OUTSIDE * seen:  # the camera belongs to another video
         raise InvalidInputError(
             f"{100 * outside / seen:.0f} % of the points lie outside of the camera's image of "
