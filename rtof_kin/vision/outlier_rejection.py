@@ -41,14 +41,16 @@ def reject_keypoint_outliers(
     for group, pairs in landmarks.items() if sides else ():
         uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
         columns, other = every[group].ravel(), every[group][:, ::-1].ravel()
-        for first, last, closed in list(_exchanged(keypoints.landmarks, pairs)):
+        exchanges = list(_exchanged(keypoints.landmarks, pairs))
+        for first, last, closed in exchanges:
             kind = FaultKind.SIDES if closed else FaultKind.SIDES_IN_DOUBT
             times = float(keypoints.times[first]), float(keypoints.times[last])
             found.append(StreamFault(kind, f"keypoints of {group}", *times))
             if closed:
                 span = slice(first, last + 1)
                 uv[span, columns], confidence[span, columns] = uv[span, other], confidence[span, other]
-                keypoints = replace(keypoints, uv_px=uv, confidence=confidence)
+        if any(closed for _, _, closed in exchanges):
+            keypoints = replace(keypoints, uv_px=uv, confidence=confidence)
     if person:
         keypoints, faults = _without_other_people(keypoints)
         found += faults
