@@ -12,11 +12,13 @@ it is zero here. Limits in the package were chosen on validation and training pe
 stated. *wrong*: sure, and further off than 50 ms or 10 degrees. *refined*: with the delay that the
 self-calibration of headings and mountings finds. *other log*: the sensors of another person. *treadmill*: a
 stride repeated for five minutes, exactly or with strides whose duration varies by 4 %; 10 s of it are filmed.
-Headings are found of the first video of a session.
+Headings are found of the first video of a session. ``--excerpts`` instead compares, on videos of ten minutes, the
+alignment by all of it with that by the five minutes in which the person moves most, as `run` sets sensors up.
 """
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -45,6 +47,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import wrapped
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.self_calibration import calibrate_recording
+from rtof_kin.setup.init import liveliest
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
@@ -426,11 +429,49 @@ def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         )
 
 
+def excerpts(corpus: Path) -> Iterator[str]:
+    """Table of alignments by ten minutes and by the liveliest five of them."""
+    yield "| session | sensors | by | mounting deg | heading deg | most | processor s |"
+    yield "|---" * 7 + "|"
+    measured = dict[str, list[tuple[float, ...]]]()
+    for i, own in enumerate(track(list(sessions(corpus)), "sessions")):
+        count = min(round(2 * LONG_VIDEO * RATE_HZ), len(own.poses) - 120)
+        first = int(np.random.default_rng(i).integers(0, len(own.poses) - count - 60))
+        video = filmed(own, first, count, RATE_HZ, i)
+        streams = tuple(replace(s, times=s.times - video.start) for s in own.log.streams)
+        seen = liveliest(video.keypoints)
+        begin = int(np.searchsorted(video.poses.times, seen.times[0]))
+        part = video.poses[begin : begin + len(seen)]
+        for by, poses, keypoints in (("all", video.poses, video.keypoints), ("excerpt", part, seen)):
+            began, log = time.process_time(), replace(own.log, streams=streams)
+            found = align_sensors(poses, keypoints, log, own.joints, own.skeleton, calibrate_recording)
+            truth, seconds = own.calibration.select(found.calibration.sensors), time.process_time() - began
+            mounting = np.degrees(so3.angle_between(found.calibration.R_sensor_bone, truth.R_sensor_bone))
+            off = np.array([sensor.heading for sensor in found.sensors]) - so3.heading(truth.R_world_inertial)
+            heading = np.abs(np.degrees(wrapped(off)))
+            row = (float(mounting.mean()), float(heading.mean()), float(heading.max()), seconds)
+            measured.setdefault(by, []).append(row)
+            yield f"| {own.name} | {len(log.streams)} | {by} | " + " | ".join(f"{v:.1f}" for v in row) + " |"
+    for by, rows in measured.items():
+        yield f"| mean | | {by} | " + " | ".join(f"{v:.1f}" for v in np.mean(rows, axis=0)) + " |"
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = study_parser("clocks_headings", __doc__)
     parser.add_argument("--clocks-only", action="store_true", help="without headings, in two minutes")
+    parser.add_argument("--excerpts", action="store_true", help="the alignment by a part of a long video alone")
     options = parser.parse_args(arguments)
+    if options.excerpts:
+        lines = [
+            "Mounting and heading of sensors by ten minutes of video, and by the five in which the person moves most",
+            "(`python -m benchmarks clocks_headings --excerpts --corpus DIR`); errors are means over the sensors.",
+            "",
+        ]
+        for line in excerpts(options.corpus):
+            lines.append(line)
+            (options.out.parent / "alignment_excerpt.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return
     result = measure(options.corpus, not options.clocks_only, options.out)
     print(write_results(options.out, result, text_of(result)))
 

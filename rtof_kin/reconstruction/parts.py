@@ -182,10 +182,10 @@ def workers_for(source: RecordingSource, number: int) -> Iterator[Workers | None
 def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:
     """Return the number of the part whose points move most in the image."""
     part = np.searchsorted([times[-1] for times in spans[:-1]], seen.times[1:])
-    return int(np.argmax(np.bincount(part, _moves(seen), len(spans))))
+    return int(np.argmax(np.bincount(part, moves(seen), len(spans))))
 
 
-def _moves(keypoints: KeypointSequence) -> Array:
+def moves(keypoints: KeypointSequence) -> Array:
     """(T - 1,) px by which all points move from one frame to the next."""
     return np.asarray(np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2)))
 
@@ -271,7 +271,7 @@ def _thinned(source: RecordingSource) -> KeypointSequence:
 def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
     """Yield times of short slices in which the points move most, one of each equal part with any motion."""
     times = keypoints.times
-    so_far = np.concatenate([[0.0], np.cumsum(_moves(keypoints))])
+    so_far = np.concatenate([[0.0], np.cumsum(moves(keypoints))])
     last = np.searchsorted(times, times + _SLICE_SECONDS, "right") - 1
     moved = so_far[last] - so_far
     for part in np.array_split(np.flatnonzero(times <= times[-1] - _SLICE_SECONDS), _SLICES):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -16,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.core.files.manifest import fingerprint, made_from
 from rtof_kin.core.files.text import load_json, write_text
@@ -26,7 +27,9 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
+from rtof_kin.reconstruction.parts import moves
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
+from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, read_corrections, with_corrections
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
@@ -56,6 +59,7 @@ from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video
 KEYPOINTS: Final = "keypoints.npz"
 FINDINGS, LAYOUT = "findings.json", "layout.toml"  #: Files of the folder beside `INDEX`, `PICTURE` and `IMUS`
 _LEAST_SEEN: Final = 0.7  # Share of the frames below which it is said that the person is seen rarely
+_ENOUGH: Final = 300.0  # [s] of a video by which sensors are set up
 _SHORTEST: Final = 5.0  # [s] of a take below which it is said that it is short
 Detect = Callable[[Path], Detections]
 
@@ -310,13 +314,24 @@ def _seen(
         camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
         still = replace(still, camera=camera.camera)
     if sources.sensors:
-        log, even = read_sensor_log(sources.sensors), evenly_spaced(still)
-        progress("lift", 0, 1)
-        poses = lift(even, skeleton, settings.lifter, None, None if camera.placed else 0.0).poses
-        progress("lift", 1, 1)
-        progress("sensors", 0, 1)
-        sensors = set_up_sensors(log, sources.sensor_map, poses, even, skeleton, start_utc)
-        progress("sensors", 1, 1)
+        log, ground = read_sensor_log(sources.sensors), None if camera.placed else 0.0
+
+        def set_up(some: KeypointSequence) -> SetupSensors:
+            even = evenly_spaced(some)
+            progress("lift", 0, 1)
+            poses = lift(even, skeleton, settings.lifter, None, ground).poses
+            progress("lift", 1, 1)
+            progress("sensors", 0, 1)
+            found = set_up_sensors(log, sources.sensor_map, poses, even, skeleton, start_utc)
+            progress("sensors", 1, 1)
+            return found
+
+        enough = liveliest(still)
+        if shorter := len(enough) < len(still):
+            with suppress(RtofError):  # perhaps the sensors began later or ended earlier
+                sensors = set_up(enough)
+        if sensors is None or (shorter and any(doubt.startswith(CLOCK_DOUBT) for doubt in sensors.doubts)):
+            sensors = set_up(still)
     tables: dict[str, Tables] = {}
     if start_utc is not None:
         tables["session"] = {"date": Field(start_utc.date().isoformat(), Origin.FILE, "the video, in UTC")}
@@ -328,6 +343,15 @@ def _seen(
     tables["keypoints"] = _keypoints(sources, settings, detected.recognition.layout, people, number)
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     return _Seen(tables, doubts, turned, sensors)
+
+
+def liveliest(keypoints: KeypointSequence) -> KeypointSequence:
+    """Return the `_ENOUGH` seconds of a longer video in which the person moves most."""
+    times, so_far = keypoints.times, np.concatenate([[0.0], np.cumsum(moves(keypoints))])
+    last = np.searchsorted(times, times + _ENOUGH, "right") - 1
+    begins = times <= max(times[0], times[-1] - _ENOUGH)
+    first = int(np.argmax(np.where(begins, so_far[last] - so_far, -1.0)))
+    return keypoints[first : last[first] + 1]
 
 
 def read_findings(folder: str | Path) -> Findings:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from detector_support import points_px, walking, watching
-from setup_support import LAYOUT, beside, pair, walker, write_keypoints
+from setup_support import LAYOUT, beside, pair, walker, write_demo, write_keypoints
 
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import init
@@ -214,3 +217,29 @@ def test_a_layout_by_name_takes_knuckles(tmp_path: Path) -> None:
     assert "coco_hands31:LeftForefinger1" in names
     with pytest.raises(UnknownNameError, match="'coco_hand'.*Did you mean"):
         set_up(tmp_path / "out", replace(SETTINGS, layout="coco_hand"), given)
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_sensors_are_set_up_by_the_liveliest_part_and_else_by_the_whole_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uv, log = walker(), write_demo(tmp_path, 0, 2)[1]
+    uv[:10] = uv[10]  # stands still at first
+    spans = list[tuple[float, float]]()
+
+    def refuse(_: SensorLog, __: Path | None, ___: object, keypoints: KeypointSequence, *____: object) -> None:
+        spans.append((float(keypoints.times[0]), float(keypoints.times[-1])))
+        raise InvalidInputError("sensors of another take")
+
+    monkeypatch.setattr(init, "_ENOUGH", 1.0)
+    monkeypatch.setattr(init, "lift", lambda *_: SimpleNamespace(poses=None))
+    monkeypatch.setattr(init, "set_up_sensors", refuse)
+    write_camera_toml(tmp_path / "camera.toml", {"phone": watching(walking())})
+    sources = Sources.of([write_keypoints(tmp_path / "walk.npz", uv), tmp_path / "camera.toml", log])
+    find_people(sources, SETTINGS, tmp_path / "out", no_detector)
+    with pytest.raises(InvalidInputError, match="another take"):
+        write_recording(sources, SETTINGS, tmp_path / "out")
+    last = (len(uv) - 1) / 30.0
+    assert spans[0][0] > 0.3
+    assert spans[0][1] - spans[0][0] == pytest.approx(1.0)
+    assert spans[1] == pytest.approx((0.0, last))
