@@ -164,6 +164,7 @@ def _rotation(R: Array) -> Rotation:
 
 
 _ROUNDING = 1e-12  # From which on SciPy takes the nearest rotation
+_BLOCK = 8192  # matrices that are checked at once
 
 
 def _where_known(function: Callable[[Array], Array], values: Array, axes: int, shape: tuple[int, ...]) -> Array:
@@ -198,12 +199,15 @@ def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Return whether all matrices (..., 3, 3) are orthonormal and right-handed, dot and cross products of rows to
     `tolerance`; NaN is not.
     """
-    R = np.asarray(R, dtype=float)
-    if not np.all(np.abs(R) <= 1 + tolerance):  # also if one is NaN or infinite
-        return False
-    x, y, z = R.reshape(-1, 9).T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z
-    errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), cross(x.T, y.T).T - z
-    return all(bool(np.all(np.abs(error) < tolerance)) for error in errors)
+    flat = np.asarray(R, dtype=float).reshape(-1, 9)
+    for part in (flat[start : start + _BLOCK] for start in range(0, len(flat), _BLOCK)):
+        if not np.all(np.abs(part) <= 1 + tolerance):  # also if one is NaN or infinite
+            return False
+        x, y, z = part.T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z
+        errors = (x * x).sum(0) - 1, (y * y).sum(0) - 1, (x * y).sum(0), cross(x.T, y.T).T - z
+        if not all(np.all(np.abs(error) < tolerance) for error in errors):
+            return False
+    return True
 
 
 # --- Euler angles: intrinsic, about three different axes in any order ----------------------------

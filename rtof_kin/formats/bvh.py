@@ -168,7 +168,10 @@ def _read_motion(path: Path, lines: list[str], start: int, width: int, rate_hz: 
     if len(rows) != frames:
         problem = f"{frames:g} frames are announced, {len(rows)} lines of values follow"
         raise FileFormatError(path, problem, len(lines))
-    return rate_hz, np.array([numbers_of(path, n, text.split(), width, "values of the channels") for n, text in rows])
+    values = np.empty((len(rows), width))
+    for own, (number, text) in zip(values, rows, strict=True):
+        own[:] = numbers_of(path, number, text.split(), width, "values of the channels")
+    return rate_hz, values
 
 
 def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
@@ -204,6 +207,8 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
     still = np.asarray(~p.any(axis=(0, 2)))
     still[0] = False  # the root stands where the file says
     p[:, still] = offsets[still]
+    for array in (R, p):  # which the motion then shares
+        array.setflags(write=False)
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
         parents=tuple(-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints),

@@ -42,6 +42,7 @@ from rtof_kin.simulation.mocap_families import (
 
 _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Files are y up and face z in their rest pose; world is z up, and the T-pose faces x."""
+_BLOCK: Final = 4096  # Frames that are mapped at once
 _DOWN, _LEFT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
 _CANONICAL = {
     "RightUpLeg": _DOWN,
@@ -82,20 +83,21 @@ def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz
     and constant: positions are forward kinematics.
     """
     offsets = restored_offsets(motion, family)
-    rigid = replace(motion, offsets=offsets, p_parent_joint=None)
-    p_source, R_source = rigid.forward_kinematics()
-    p_source = p_source @ _R_WORLD_FILE.T * unit_m
-    R_source = _R_WORLD_FILE @ R_source @ _R_WORLD_FILE.T
     p_t_pose, R_t_pose = _t_pose(motion, family, offsets @ _R_WORLD_FILE.T * unit_m)
-    p_wanted, p_rest = (_points(motion, family.at, p) for p in (p_source, p_t_pose))
-    R_turned, R_rest = (_turns(motion, family.turns, R) for R in (R_source, R_t_pose))
+    p_rest, R_rest = _points(motion, family.at, p_t_pose), _turns(motion, family.turns, R_t_pose)
     R_canonical = _canonical_rotations(family, p_rest[0])
     joint_offsets = np.zeros((len(NAMES), 3))
     for m, parent in enumerate(PARENTS):
         if parent >= 0:
             joint_offsets[m] = R_canonical[parent] @ (p_rest[0, m] - p_rest[0, parent])
-    R_world_bone = R_turned @ np.swapaxes(R_canonical @ R_rest, -1, -2)
-    p, R = _aimed(R_world_bone, joint_offsets, p_wanted, family.aim)
+    p, R = np.empty((len(motion), len(NAMES), 3)), np.empty((len(motion), len(NAMES), 3, 3))
+    for frames in (slice(start, start + _BLOCK) for start in range(0, len(motion), _BLOCK)):
+        rigid = replace(motion[frames], offsets=offsets, p_parent_joint=None)
+        p_source, R_source = rigid.forward_kinematics()
+        p_wanted = _points(motion, family.at, p_source @ _R_WORLD_FILE.T * unit_m)
+        R_turned = _turns(motion, family.turns, _R_WORLD_FILE @ R_source @ _R_WORLD_FILE.T)
+        R_world_bone = R_turned @ np.swapaxes(R_canonical @ R_rest, -1, -2)
+        p[frames], R[frames] = _aimed(R_world_bone, joint_offsets, p_wanted, family.aim)
     times = np.arange(len(motion)) / rate_hz
     return MocapClip(name, PoseSequence(times, p, R, NAMES), joint_offsets, rig=family.name)
 
