@@ -17,6 +17,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.vision.landmark_regression import LandmarkRegression
 
 Array = NDArray[np.float64]
 CUTOFF_HZ = 6.0
@@ -92,9 +93,10 @@ def measured_bones(truth: Truth, skeleton: SkeletonModel) -> dict[str, float]:
 
 def _joints(trial: Trial, skeleton: SkeletonModel) -> tuple[Array, Array]:
     """Return joints (C, T, J, 2), px, of the landmark regression and their inverse variances (C, T, J)."""
-    uv, weight = [], []
+    uv, weight, regression = [], [], LandmarkRegression.default()
     for view in trial.views:
-        adapted = view.found.landmarks
+        seen = view.found.recognition
+        adapted = regression.apply(seen.layout.name, view.uv_px[:, seen.order], view.weight[:, seen.order])
         at = [adapted.names.index(name) for name in skeleton.names]
         sigma = np.where(adapted.confidence[:, at] > 0, adapted.sigma_px[:, at], np.inf)
         uv.append(adapted.uv_px[:, at])
