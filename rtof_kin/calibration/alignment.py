@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -198,7 +198,7 @@ def _start(seen: Array, sensed: Array, axis: Array) -> _Start:
         R = so3.about_axis("z", grid[best] + x[0]) @ sensed @ M @ so3.exp(x[1:])
         return np.asarray((so3.log(np.swapaxes(R, -1, -2) @ seen) @ scale).ravel())
 
-    x = least_squares(residuals, np.zeros(4), loss="cauchy", f_scale=1.5).x
+    x = scipy.optimize.least_squares(residuals, np.zeros(4), loss="cauchy", f_scale=1.5).x
     sigma = np.sqrt(max(-2 * np.log(np.clip(length, 0.05, 1.0)), 0.0))
     heading = float(wrapped(grid[best] + x[0]))
     return _Start(heading, float(np.hypot(sigma, _BIAS)), float(-nats[far].max()), M @ so3.exp(x[1:]))

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.special import logsumexp
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -72,9 +72,10 @@ def match(
             out = out + pair[a, b, labels[:, a], labels[:, b]].sum(axis=-1)
         return np.asarray(out if prior is None else out + prior(labels))
 
-    starts = [linear_sum_assignment(-single)[1]]
+    starts = [scipy.optimize.linear_sum_assignment(-single)[1]]
     for _ in range(_CHAINS - 1):
-        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
+        cost = rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0)
+        starts.append(scipy.optimize.linear_sum_assignment(cost)[1])
     at = np.array(starts)
     counts, seen = np.zeros((S, K)), set[tuple[int, ...]]()
     temperatures = np.append(np.geomspace(_HOTTEST, 1.0, _COOLING), np.ones(_SAMPLING))
@@ -215,7 +216,7 @@ def _possible(
             "all segments that have one as candidates, or leave sensors out"
         )
     allowed = np.array([[name in own.get(sensor, usual) for name in segments] for sensor in sensors])
-    rows, columns = linear_sum_assignment(~allowed)
+    rows, columns = scipy.optimize.linear_sum_assignment(~allowed)
     if not allowed[rows, columns].all():
         raise InvalidInputError("the candidates leave no segment of its own for each sensor; name more of them")
     return segments, allowed

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
+import scipy
 from scipy import fft
-from scipy.optimize import linear_sum_assignment
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.offset_scan import OffsetScan
@@ -159,7 +159,7 @@ class ClockScan:
             table = np.array([gain[k] for gain, _ in tables], dtype=float)
             segments = np.full(S, 0 if known else -1)
             if not known:  # each segment is taken once
-                rows, columns = linear_sum_assignment(-table)
+                rows, columns = scipy.optimize.linear_sum_assignment(-table)
                 segments[rows] = columns
             worn = np.flatnonzero(segments >= 0)
             found.append((float(table[worn, segments[worn]].sum()), k, segments))

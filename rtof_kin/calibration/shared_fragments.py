@@ -23,8 +23,8 @@ from functools import partial
 from typing import Final, Self
 
 import numpy as np
+import scipy
 from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.optimize import minimize_scalar
 
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, UnknownsHessian, finished
 from rtof_kin.calibration.priors import OVERCOUNT, WEIGHT_POSES
@@ -288,7 +288,7 @@ class SharedFragments:
             grid = sigma * np.arange(-2.0, 3.0)
             energies = np.array([energy(value) for value in grid])
             best = float(grid[int(np.argmin(energies))])
-            found = minimize_scalar(
+            found = scipy.optimize.minimize_scalar(
                 energy,
                 bounds=(best - sigma, best + sigma),
                 method="bounded",

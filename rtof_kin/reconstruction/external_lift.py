@@ -29,7 +29,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import CLAVICLES, SPINE
@@ -270,8 +270,9 @@ def _delay(misfit: Callable[[float], float], near: float) -> float:
     """Return the delay, s, of the smallest misfit within 0.12 s; 0 where that is hardly worse."""
     grid = near + np.arange(-3, 4) * 0.04
     best = float(grid[int(np.argmin([misfit(float(delay)) for delay in grid]))])
-    bounds = best - 0.04, best + 0.04
-    found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 12})
+    found = scipy.optimize.minimize_scalar(
+        misfit, bounds=(best - 0.04, best + 0.04), method="bounded", options={"xatol": 2e-3, "maxiter": 12}
+    )
     return float(found.x) if found.fun < (1 - _SAME) * misfit(0.0) else 0.0
 
 

@@ -8,17 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from pydantic import BaseModel, Field, NonNegativeFloat
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import AngleTable
-from rtof_kin.reconstruction.certificate import Certificate, LeftOut
 from rtof_kin.reporting.angle_names import plain_words
 from rtof_kin.reporting.audit_results import CERTIFICATE, AuditResult
 from rtof_kin.reporting.document import Cell, Table, number, sentence, write_csv
+
+if TYPE_CHECKING:
+    from rtof_kin.reconstruction.certificate import Certificate, LeftOut
 
 TABLE: Final = "certificate.csv"
 WORSE, MUCH_WORSE = 1.8, 2.5

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -118,7 +118,7 @@ def focal_factor(camera: Camera, pairs: Sequence[Pair], sigma: float) -> tuple[f
     noise = max(float(np.median(squares(0.0))), 1e-4)
     for _ in range(2):  # the residual's size is that of the best focal length
         limit = float(np.log(_FACTOR))
-        best = float(minimize_scalar(cost, bounds=(-limit, limit), method="bounded").x)
+        best = float(scipy.optimize.minimize_scalar(cost, bounds=(-limit, limit), method="bounded").x)
         noise = max(float(np.mean(squares(best))) / 2, 1e-4)
     step = 0.01
     curvature = (cost(best + step) - 2 * cost(best) + cost(best - step)) / step**2

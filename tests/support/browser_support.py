@@ -160,7 +160,7 @@ class BrowserPage:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def until(self, expression: str, seconds: float = 60.0) -> None:
+    def until(self, expression: str, seconds: float = 20.0) -> None:
         """Wait until an expression holds."""
         deadline = time.monotonic() + seconds
         while not self.value(expression):
