@@ -441,17 +441,15 @@ def excerpts(corpus: Path) -> Iterator[str]:
         streams = tuple(replace(s, times=s.times - video.start) for s in own.log.streams)
         seen = liveliest(video.keypoints)
         begin = int(np.searchsorted(video.poses.times, seen.times[0]))
-        part = video.poses[begin : begin + len(seen)]
-        for by, poses, keypoints in (("all", video.poses, video.keypoints), ("excerpt", part, seen)):
-            began, log = time.process_time(), replace(own.log, streams=streams)
-            found = align_sensors(poses, keypoints, log, own.joints, own.skeleton, calibrate_recording)
-            truth, seconds = own.calibration.select(found.calibration.sensors), time.process_time() - began
-            mounting = np.degrees(so3.angle_between(found.calibration.R_sensor_bone, truth.R_sensor_bone))
-            off = np.array([sensor.heading for sensor in found.sensors]) - so3.heading(truth.R_world_inertial)
-            heading = np.abs(np.degrees(wrapped(off)))
-            row = (float(mounting.mean()), float(heading.mean()), float(heading.max()), seconds)
+        excerpt = replace(video, keypoints=seen, poses=video.poses[begin : begin + len(seen)])
+        for by, shown in (("all", video), ("excerpt", excerpt)):
+            began = time.process_time()
+            sensors = heading_rows(own, shown, replace(own.log, streams=streams), {"error_ms": 0.0})
+            seconds, heading = time.process_time() - began, np.abs([sensor["error_deg"] for sensor in sensors])
+            mounting = np.mean([sensor["mounting_error_deg"] for sensor in sensors])
+            row = (float(mounting), float(heading.mean()), float(heading.max()), seconds)
             measured.setdefault(by, []).append(row)
-            yield f"| {own.name} | {len(log.streams)} | {by} | " + " | ".join(f"{v:.1f}" for v in row) + " |"
+            yield f"| {own.name} | {len(sensors)} | {by} | " + " | ".join(f"{v:.1f}" for v in row) + " |"
     for by, rows in measured.items():
         yield f"| mean | | {by} | " + " | ".join(f"{v:.1f}" for v in np.mean(rows, axis=0)) + " |"
 

@@ -43,7 +43,7 @@ from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import checked_times, indices_of, readonly
+from rtof_kin.core.checks import checked_times, indices_of, readonly, shared
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.over_time import BLOCK, Sampled, Stream
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -122,8 +122,7 @@ class ClinicalAngles(Sampled):
         chosen: dict[str, Any] = dict.fromkeys(_ARRAYS)
         for name in _ARRAYS:
             if (array := getattr(self, name)) is not None:
-                chosen[name] = np.array(array[:, index])
-                chosen[name].setflags(write=False)  # shared, not copied
+                (chosen[name],) = shared(np.array(array[:, index]))
         return replace(self, rows=tuple(self.rows[i] for i in index), **chosen)
 
 
@@ -192,8 +191,7 @@ def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngle
         sigma[np.isnan(values)] = np.nan
     reliable, note = reliable_samples(table, found.times, found.too_fast, sigma, np.isfinite(values))
     notes = (*_notes(table, values, provenance), *([note] if note else []))
-    for array in (values, provenance, singular, reliable, *(() if sigma is None else (sigma,))):
-        array.setflags(write=False)  # shared, not copied
+    shared(values, provenance, singular, reliable, *(() if sigma is None else (sigma,)))
     return ClinicalAngles(found.times, values, provenance, singular, table.rows, notes, sigma, reliable)
 
 

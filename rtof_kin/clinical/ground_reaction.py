@@ -34,7 +34,7 @@ from rtof_kin.clinical.gait_events import CUTOFF_HZ
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu import STANDARD_GRAVITY
 
@@ -239,8 +239,7 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
     on_floor = np.isin(state, (Contact.RIGHT, Contact.LEFT, Contact.BOTH))
     loaded = (force[:, 2] > LEAST_FORCE * weight) & on_floor
     parts = []
-    for start in range(0, len(force), _BLOCK):
-        own = slice(start, start + _BLOCK)
+    for own in blocks_of(len(force), _BLOCK):
         by_motion, by_masses = np.moveaxis(torques.wrench_covariances(own), 1, 0)
         unknown = np.isnan(by_motion).all(axis=(1, 2), keepdims=True)
         covariance = np.where(unknown, 0.0, by_motion) + by_masses

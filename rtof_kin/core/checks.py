@@ -10,7 +10,7 @@ from enum import Enum
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -35,6 +35,13 @@ def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> 
         raise ShapeError(f"{field}: expected shape ({', '.join(map(str, shape))}), got {array.shape}")
     array.setflags(write=False)
     return array
+
+
+def shared(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return arrays to which nobody writes from now on, so that `readonly` keeps them without a copy."""
+    for array in arrays:
+        array.setflags(write=False)
+    return arrays
 
 
 def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
 
 
 def skew(v: ArrayLike) -> Array:
@@ -164,7 +164,6 @@ def _rotation(R: Array) -> Rotation:
 
 
 _ROUNDING = 1e-12  # From which on SciPy takes the nearest rotation
-_BLOCK = 8192  # matrices that are checked at once
 
 
 def _where_known(function: Callable[[Array], Array], values: Array, axes: int, shape: tuple[int, ...]) -> Array:
@@ -200,7 +199,7 @@ def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     `tolerance`; NaN is not.
     """
     flat = np.asarray(R, dtype=float).reshape(-1, 9)
-    for part in (flat[start : start + _BLOCK] for start in range(0, len(flat), _BLOCK)):
+    for part in map(flat.__getitem__, blocks_of(len(flat))):
         if not np.all(np.abs(part) <= 1 + tolerance):  # also if one is NaN or infinite
             return False
         x, y, z = part.T.copy().reshape(3, 3, -1)  # rows of all matrices: x cross y is z

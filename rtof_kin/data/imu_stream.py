@@ -14,7 +14,7 @@ import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import checked_names, checked_times, freeze, indices_of
+from rtof_kin.core.checks import checked_names, checked_times, freeze, indices_of, shared
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.over_time import OverTime, Stream
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
@@ -279,8 +279,7 @@ class SensorLog:
             rows = slice(start, start := start + len(block))
             for s, (f, R) in enumerate(arrays):
                 f[rows], R[rows] = block.f_sensor[:, s], block.R_inertial_sensor[:, s]
-        for array in chain(*arrays):
-            array.setflags(write=False)  # shared, not copied
+        shared(*chain(*arrays))
         streams = (SensorStream(name, stream.times, *own) for name, own in zip(names, arrays, strict=True))
         return cls(Path(path), "IMUs of a recording", tuple(streams), Declaration())
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly
+from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly, shared
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.over_time import OverTime
 from rtof_kin.data.camera import Camera, CameraTurning
@@ -34,6 +34,18 @@ def layout_and_point(name: str) -> tuple[str, str]:
     """Return layout and point of a name in a `KeypointSequence`; a landmark of the skeleton has the layout ``""``."""
     layout, _, point = name.rpartition(_OF)
     return layout, point
+
+
+def blanked(uv_px: Array, confidence: Array) -> tuple[Array, Array]:
+    """Return points (..., 2) and confidences (...), read-only, with NaN and 0 where either is missing; those that have
+    it already as they are.
+    """
+    missing = ~(np.isfinite(uv_px).all(axis=-1) & (confidence > 0))
+    if confidence[missing].any() or not np.isnan(uv_px[missing]).all():
+        uv_px, confidence = uv_px.copy(), confidence.copy()
+        uv_px[missing], confidence[missing] = np.nan, 0.0
+    shared(uv_px, confidence)
+    return uv_px, confidence
 
 
 @dataclass(frozen=True)
@@ -61,18 +73,13 @@ class KeypointSequence(OverTime):
             freeze(self, "keypoints", own_times=(T,))
         if self.turning is not None:
             readonly("keypoints turning", self.turning.R_still_camera, (T, 3, 3))
-        uv, confidence = self.uv_px, self.confidence
-        if np.any((confidence < 0) | (confidence > 1)):
+        if np.any((self.confidence < 0) | (self.confidence > 1)):
             raise InvalidInputError("keypoints confidence: outside [0, 1]; divide by the detector's maximum")
-        if np.any(np.isinf(uv)):
+        if np.any(np.isinf(self.uv_px)):
             raise InvalidInputError("keypoints uv_px: infinite; write NaN where a landmark was not seen")
-        missing = np.isnan(uv).any(axis=-1) | ~(confidence > 0)
-        if confidence[missing].any() or not np.isnan(uv[missing]).all():
-            uv, confidence = uv.copy(), confidence.copy()
-            uv[missing], confidence[missing] = np.nan, 0.0
-            for name, array in {"uv_px": uv, "confidence": confidence}.items():
-                array.setflags(write=False)
-                set_(self, name, array)
+        uv, confidence = blanked(self.uv_px, self.confidence)
+        set_(self, "uv_px", uv)
+        set_(self, "confidence", confidence)
 
     def columns(self) -> dict[str, Array]:
         """Return columns (T,) of a detector's table: times, and its own points, else landmarks."""

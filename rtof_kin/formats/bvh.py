@@ -16,6 +16,7 @@ import numpy as np
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import shared
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, reading
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, numbers_of, read_text
@@ -207,8 +208,7 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
     still = np.asarray(~p.any(axis=(0, 2)))
     still[0] = False  # the root stands where the file says
     p[:, still] = offsets[still]
-    for array in (R, p):  # which the motion then shares
-        array.setflags(write=False)
+    shared(R, p)
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
         parents=tuple(-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints),

@@ -19,7 +19,7 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
@@ -182,12 +182,19 @@ def workers_for(source: RecordingSource, number: int) -> Iterator[Workers | None
 def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:
     """Return the number of the part whose points move most in the image."""
     part = np.searchsorted([times[-1] for times in spans[:-1]], seen.times[1:])
-    return int(np.argmax(np.bincount(part, moves(seen), len(spans))))
+    return int(np.argmax(np.bincount(part, _moves(seen), len(spans))))
 
 
-def moves(keypoints: KeypointSequence) -> Array:
+def _moves(keypoints: KeypointSequence) -> Array:
     """(T - 1,) px by which all points move from one frame to the next."""
     return np.asarray(np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2)))
+
+
+def moved_in(keypoints: KeypointSequence, seconds: float) -> tuple[Array, Index]:
+    """Return, for each frame, the px (T,) by which all points move in some seconds from it on, and their last frame."""
+    so_far = np.concatenate([[0.0], np.cumsum(_moves(keypoints))])
+    last = np.searchsorted(keypoints.times, keypoints.times + seconds, "right") - 1
+    return so_far[last] - so_far, last
 
 
 def _frame_times(source: RecordingSource, mode: Mode) -> Array:
@@ -270,10 +277,7 @@ def _thinned(source: RecordingSource) -> KeypointSequence:
 
 def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
     """Yield times of short slices in which the points move most, one of each equal part with any motion."""
-    times = keypoints.times
-    so_far = np.concatenate([[0.0], np.cumsum(moves(keypoints))])
-    last = np.searchsorted(times, times + _SLICE_SECONDS, "right") - 1
-    moved = so_far[last] - so_far
+    times, (moved, last) = keypoints.times, moved_in(keypoints, _SLICE_SECONDS)
     for part in np.array_split(np.flatnonzero(times <= times[-1] - _SLICE_SECONDS), _SLICES):
         if len(part) and moved[first := part[np.argmax(moved[part])]] > 0:
             yield times[first : last[first] + 1]

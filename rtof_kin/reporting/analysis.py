@@ -43,7 +43,7 @@ from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.clinical.travel import Travel
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
@@ -85,10 +85,9 @@ class _Series:
     words: Callable[[int], str] | None = None  #: Frame -> a text behind the time
 
     def __iter__(self) -> Iterator[list[Cell]]:
-        for start in range(0, len(self.times), _BLOCK):
-            frames = slice(start, start + _BLOCK)
+        for frames in blocks_of(len(self.times), _BLOCK):
             values = np.asarray(self.values(frames), dtype=float).tolist()
-            for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), start):
+            for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), frames.start):
                 yield [time, *([] if self.words is None else [self.words(t)]), *_rounded(row)]
 
 

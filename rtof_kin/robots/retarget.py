@@ -33,7 +33,7 @@ from rtof_kin.body.observability import NOTHING, WHOLE, ObservationMasks
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.soles import FEET, floor_levels, sole_points
 from rtof_kin.body.urdf import pin
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import optional
@@ -69,8 +69,8 @@ class Tracking:
 
     def figures(self) -> dict[str, float]:
         """Return mm, degrees, shares of the frames and ms; NaN where there is none."""
-        slips, rows = 1000 * np.array(self.slips or [np.nan]), np.array(self.numbers or [np.nan] * 6).reshape(-1, 6)
-        outside, fast, lowest, ends, turns, seconds = rows.T
+        slips, rows = 1000 * np.array(self.slips or [np.nan]), np.array(self.numbers or [np.nan] * 6)
+        outside, fast, lowest, ends, turns, seconds = rows.reshape(-1, 6).T
         found = {"frames": len(self.numbers) // 6, "broken": ((outside > 0) | (fast > 0)).sum()}
         found |= {"stances": len(self.slips), "slip_mm": slips.mean(), "most_mm": slips.max()}
         found |= {"outside": outside.mean(), "fast": fast.mean(), "below_mm": -1000 * min(lowest.min(), 0.0)}
@@ -374,8 +374,7 @@ class RobotMotion:
         names = [(model.frames[a].name if a else WORLD_FRAME, model.frames[i].name) for a, i in pairs]
         path.unlink(missing_ok=True)
         with RosLog(path, self.robot.urdf.read_text(encoding="utf-8"), self.robot.joints, names) as log:
-            for start in range(0, len(self.q), BLOCK):
-                own = slice(start, start + BLOCK)
+            for own in blocks_of(len(self.q), BLOCK):
                 placed = np.empty((len(self.q[own]), len(pairs), 7))
                 for q, rows in zip(self.q[own], placed, strict=True):
                     pin.framesForwardKinematics(model, data, q)

@@ -27,7 +27,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
-from rtof_kin.reconstruction.parts import moves
+from rtof_kin.reconstruction.parts import moved_in
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, read_corrections, with_corrections
@@ -317,6 +317,7 @@ def _seen(
         log, ground = read_sensor_log(sources.sensors), None if camera.placed else 0.0
 
         def set_up(some: KeypointSequence) -> SetupSensors:
+            """Return the sensors by these keypoints, with errors of `set_up_sensors`."""
             even = evenly_spaced(some)
             progress("lift", 0, 1)
             poses = lift(even, skeleton, settings.lifter, None, ground).poses
@@ -347,10 +348,8 @@ def _seen(
 
 def liveliest(keypoints: KeypointSequence) -> KeypointSequence:
     """Return the `_ENOUGH` seconds of a longer video in which the person moves most."""
-    times, so_far = keypoints.times, np.concatenate([[0.0], np.cumsum(moves(keypoints))])
-    last = np.searchsorted(times, times + _ENOUGH, "right") - 1
-    begins = times <= max(times[0], times[-1] - _ENOUGH)
-    first = int(np.argmax(np.where(begins, so_far[last] - so_far, -1.0)))
+    times, (moved, last) = keypoints.times, moved_in(keypoints, _ENOUGH)
+    first = int(np.argmax(np.where(times <= max(times[0], times[-1] - _ENOUGH), moved, -1.0)))
     return keypoints[first : last[first] + 1]
 
 

@@ -180,14 +180,15 @@ def write_frames_picture(
     panel = (width, width * image_px[1] / image_px[0])
     figure = Figure((columns * panel[0], rows * panel[1]), layout="constrained", dpi=150)
     FigureCanvasAgg(figure)
-    for axes, (i, frame) in zip(figure.subplots(rows, columns, squeeze=False).flat, enumerate(frames), strict=False):
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for i, frame in enumerate(frames):
         shown = [(uv[i], bones) for uv, bones in joints]
-        _draw(axes, f"{people.times[frame]:.2f} s", shown, image_px, images.get(frame))
+        _draw(panels[i], f"{people.times[frame]:.2f} s", shown, image_px, images.get(frame))
     for axes in figure.axes:
         axes.set_axis_off()
     figure.draw_without_rendering()  # places the panels
     boxes = []
-    for axes, i in zip(figure.axes, range(len(frames)), strict=False):
+    for i, axes in enumerate(figure.axes[: len(frames)]):
         for number, (uv, _) in enumerate(joints, start=1):
             seen_px = uv[i][np.isfinite(uv[i]).all(axis=-1)]
             if len(seen_px):

@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError, UnknownNameError, reading
 from rtof_kin.core.files.folder import path_inside
@@ -42,7 +42,6 @@ from rtof_kin.simulation.mocap_families import (
 
 _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Files are y up and face z in their rest pose; world is z up, and the T-pose faces x."""
-_BLOCK: Final = 4096  # Frames that are mapped at once
 _DOWN, _LEFT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
 _CANONICAL = {
     "RightUpLeg": _DOWN,
@@ -91,7 +90,7 @@ def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz
         if parent >= 0:
             joint_offsets[m] = R_canonical[parent] @ (p_rest[0, m] - p_rest[0, parent])
     p, R = np.empty((len(motion), len(NAMES), 3)), np.empty((len(motion), len(NAMES), 3, 3))
-    for frames in (slice(start, start + _BLOCK) for start in range(0, len(motion), _BLOCK)):
+    for frames in blocks_of(len(motion), 4096):
         rigid = replace(motion[frames], offsets=offsets, p_parent_joint=None)
         p_source, R_source = rigid.forward_kinematics()
         p_wanted = _points(motion, family.at, p_source @ _R_WORLD_FILE.T * unit_m)

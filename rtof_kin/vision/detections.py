@@ -28,6 +28,7 @@ from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, reading
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.text import numbers_of, read_text
+from rtof_kin.data.keypoints import blanked
 from rtof_kin.formats.channels import POINT_ENDINGS, PointChannels, point_part
 from rtof_kin.formats.markers import read_trc
 from rtof_kin.vision.layouts import detector_table
@@ -71,13 +72,9 @@ class Detections:
         if high > _HIGHEST_CONFIDENCE or low < 0:
             problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1 (divide by the detector's maximum)"
             raise InvalidInputError(f"detections confidence: {problem}")
-        missing = ~(np.isfinite(uv).all(axis=-1) & (confidence > 0))
-        if high > 1 or confidence[missing].any() or not np.isnan(uv[missing]).all():
-            uv, confidence = uv.copy(), np.clip(confidence, 0.0, 1.0)
-            uv[missing], confidence[missing] = np.nan, 0.0
-        for name, array in {"uv_px": uv, "confidence": confidence}.items():
-            array.setflags(write=False)
-            set_(self, name, array)
+        uv, confidence = blanked(uv, np.minimum(confidence, 1.0) if high > 1 else confidence)
+        set_(self, "uv_px", uv)
+        set_(self, "confidence", confidence)
         if self.times is not None:
             times = checked_times("detections times", self.times)
             set_(self, "times", times)

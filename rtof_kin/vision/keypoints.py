@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
+from rtof_kin.core.checks import shared
 from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence, detector_point
+from rtof_kin.data.keypoints import KeypointSequence, blanked, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.landmark_regression import (
@@ -30,7 +31,6 @@ from rtof_kin.vision.landmark_regression import (
 from rtof_kin.vision.layouts import OWN_LAYOUTS, Layout
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
-_BLOCK: Final = 8192  # Frames that are regressed at once
 MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
 
 
@@ -108,7 +108,7 @@ def keypoints_from_detections(
     form, names = recognition.layout, keypoint_names(recognition.layout, regression)
     uv, confidence = np.full((len(found), len(names), 2), np.nan), np.zeros((len(found), len(names)))
     seen, outside, reach, unseen = 0, 0, np.zeros(2), list[InvalidInputError]()
-    for frames in (slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)):
+    for frames in blocks_of(len(found)):
         points = track.of(found, frames)
         shown = points[0][np.isfinite(points[0]).all(axis=-1)]
         seen, reach = seen + len(shown), np.fmax(reach, shown.max(axis=0, initial=0.0))
@@ -118,8 +118,7 @@ def keypoints_from_detections(
         except InvalidInputError as error:
             unseen.append(error)
         else:
-            own, confidence[frames] = with_own_points(form, landmarks, *points)
-            uv[frames] = np.where(confidence[frames, :, None] > 0, own, np.nan)
+            uv[frames], confidence[frames] = blanked(*with_own_points(form, landmarks, *points))
     if outside > MOST_OUTSIDE * seen:  # the camera belongs to another video
         raise InvalidInputError(
             f"{100 * outside / seen:.0f} % of the points lie outside of the camera's image of "
@@ -128,8 +127,7 @@ def keypoints_from_detections(
         )
     if unseen and not confidence.any():
         raise unseen[0]
-    for array in (uv, confidence):
-        array.setflags(write=False)
+    shared(uv, confidence)
     return DetectedKeypoints(KeypointSequence(camera, times, uv, confidence, names), recognition, track)
 
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
@@ -26,7 +26,6 @@ _REACH, _REACH_RATE, _FURTHEST = 0.25, 2.0, 1.5  # [sizes], [sizes/s], [sizes] f
 _RESIZED = 1.8  # [-] largest change of size over a gap
 _AMBIGUOUS = 2.0  # [-] distance of the next best person relative to the linked one
 _SMALLEST_SIZE_PX = 1.0
-_BLOCK = 8192  # frames that are measured at once
 _FEW_POINTS = 3
 
 
@@ -68,7 +67,7 @@ class _Measures:
         self.centre: Array = np.empty((*uv.shape[:2], 2))
         self.size: Array = np.empty(uv.shape[:2])
         """Twice the RMS radius, px: about half a standing person's height."""
-        for frames in (slice(start, start + _BLOCK) for start in range(0, len(uv), _BLOCK)):
+        for frames in blocks_of(len(uv)):
             seen = np.isfinite(uv[frames]).all(axis=-1)
             filled, count = np.where(np.isnan(uv[frames]), 0.0, uv[frames]), np.maximum(seen.sum(axis=-1), 1)
             self.centre[frames] = filled.sum(axis=2) / count[..., None]
@@ -209,7 +208,7 @@ def _link(trails: list[_Trail], measures: _Measures, t: int, people: list[int], 
     far = np.reshape(
         [trail.distance(measures, t, p, now) for trail in trails for p in people], (len(trails), len(people))
     )
-    rows, columns = linear_sum_assignment(np.where(np.isfinite(far), far, 1e6))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(np.isfinite(far), far, 1e6))
     new = dict.fromkeys(people)
     for row, column in zip(rows, columns, strict=True):
         if not np.isfinite(far[row, column]):

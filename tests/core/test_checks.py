@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtof_kin.core.checks import checked_times, indices_of, readonly
+from rtof_kin.core.array_types import blocks_of
+from rtof_kin.core.checks import checked_times, indices_of, readonly, shared
 from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 
 
@@ -54,3 +55,17 @@ def test_unknown_name_is_reported_with_valid_names_and_the_nearest_one() -> None
     with pytest.raises(UnknownNameError) as caught:
         indices_of("joint", ["Hips", "Hedd", "tail"], ("Hips", "Head"))
     assert str(caught.value) == "unknown joint 'Hedd', 'tail'. Did you mean 'Head'? Known: Hips, Head"
+
+
+def test_shared_arrays_are_kept_without_a_copy() -> None:
+    (mine,) = shared(np.zeros((4, 3)))
+    assert readonly("x", mine, ("T", 3)) is mine
+    with pytest.raises(ValueError, match="read-only"):
+        mine[0] = 1.0
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 4, 9])
+def test_blocks_follow_one_another_and_cover_all(count: int) -> None:
+    blocks = list(blocks_of(count, 3))
+    assert [i for block in blocks for i in range(*block.indices(count))] == list(range(count))
+    assert all(0 < block.stop - block.start <= 3 for block in blocks)
