@@ -146,10 +146,9 @@ def test_threads_are_limited_before_numpy_is_imported() -> None:
 def test_help_takes_less_than_a_third_of_a_second_of_processor_time() -> None:
     code = "import sys, time; from rtof_kin.cli import main; code = main(['--help']); "
     code += "print(time.process_time(), code, *{'numpy', 'casadi'} & {*sys.modules}, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    seconds, *rest = done.stderr.split()
-    assert rest == ["0"]
-    assert float(seconds) < 0.3
+    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT) for _ in range(3)]
+    assert [run.stderr.split()[1:] for run in runs] == 3 * [["0"]]
+    assert min(float(run.stderr.split()[0]) for run in runs) < 0.3  # other work on the processor only adds
 
 
 def test_name_of_the_front_door_loads_only_what_it_needs() -> None:

@@ -77,6 +77,7 @@ class SourceParts:
     def __init__(self, page: Frame, folder: Path):
         """Lay them out."""
         self.page, self.ui, self.store, self.folder = page, page.ui, page.store, folder
+        self._typed: tuple[float | None, ...] = (None, None)  # of a size; one side alone is not kept in the take
         page.heading(TEXTS.files, 2)
         done = self.store.take(folder).state in (State.DONE, State.ATTENTION)  # then the result is looked for
         with self.ui.expansion(TEXTS.all_files, value=not done).classes("w-full"):
@@ -175,12 +176,12 @@ class SourceParts:
         """Fields for what the files do not say."""
 
         def sized() -> None:
-            known = bool(width.value and height.value)
-            self._keep(size_px=(int(width.value), int(height.value)) if known else None)
+            self._typed = width.value, height.value
+            self._keep(size_px=(int(width.value), int(height.value)) if all(self._typed) else None)
 
         ui = self.ui
         if sources.sizeless:
-            first, last = take.size_px or (None, None)
+            first, last = take.size_px or self._typed
             width = ui.number(TEXTS.width_px, value=first, min=1, on_change=sized).classes("w-60")
             height = ui.number(TEXTS.height_px, value=last, min=1, on_change=sized).classes("w-60")
             rate = ui.number(TEXTS.rate, value=take.rate_hz, min=1).classes("w-80")

@@ -79,11 +79,12 @@ def dispatch(arguments: list[str]) -> int:
     from cyclopts import CycloptsError
 
     from rtof_kin.cli.terminal import log_handler
-    from rtof_kin.core.environment import limit_threads
     from rtof_kin.core.errors import InvalidInputError, RtofError, too_long
 
     _check_name(arguments)
     if arguments and arguments[0] in LIMITED:
+        from rtof_kin.core.environment import limit_threads
+
         limit_threads()
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:

@@ -13,11 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
 from rtof_kin.core.errors import plain
-from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
@@ -58,6 +56,8 @@ def log_handler() -> logging.Handler:
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (
         TextColumn("{task.description:>5}", markup=False),
         BarColumn(),
@@ -80,6 +80,8 @@ def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], 
     """Show a bar over jobs with the time that remains, and a line for each that fails or is skipped; yields a function
     of (done, in all, last event).
     """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (
         TextColumn(what),
         BarColumn(),
@@ -260,6 +262,8 @@ def _figure(key: str, value: float | None) -> str:
 
 def _files(folder: str | Path) -> str:
     """Files of a folder, and its subfolders with their number of files."""
+    from rtof_kin.core.files.manifest import MANIFEST
+
     entries = sorted(path for path in Path(folder).iterdir() if path.name != MANIFEST)
     inner = {path: sum(one.is_file() for one in path.rglob("*")) for path in entries if path.is_dir()}
     files = [path.name for path in entries if path not in inner]

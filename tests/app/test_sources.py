@@ -192,8 +192,13 @@ def test_people_sensors_and_cameras_are_chosen_on_the_page(store: Store, folder:
             assert store.take(folder).second == ("walk_keypoints",)
             window.click("Remove walk_keypoints")
             window.until("!document.body.innerText.includes('walk_keypoints')")
+            window.until("!document.body.innerText.includes('Both cameras have one clock')")  # the fields are new
             window.says("No sensors: the motion comes from the image alone")
             window.fill("Width of the image in px", "1920")
+            window.drop(stray)
+            window.says("notes.txt: not recognised")  # what was typed so far stays
+            window.click("Remove notes.txt")
+            window.until("!document.body.innerText.includes('notes.txt')")
             window.fill("Height of the image in px", "1080")
             window.click("Look at it first")
             window.says("Several people are in the picture", 60)
