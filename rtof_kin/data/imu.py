@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
-from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly
+from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, indices_of, readonly, shared
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnitError
 from rtof_kin.core.over_time import OverTime
 
@@ -131,21 +131,21 @@ class ImuSequence(OverTime):
         """
         if not parts:
             raise InvalidInputError("IMUs to join: there are none")
-        times, R, f = parts[0].times, [part.R_inertial_sensor for part in parts], [part.f_sensor for part in parts]
-        if any(not np.array_equal(part.times, times) for part in parts):
+        times, names = parts[0].times, [name for part in parts for name in part.names]
+        resampled = any(not np.array_equal(part.times, times) for part in parts)
+        if resampled:
             step = min(float(np.median(np.diff(p.times))) for p in parts if len(p) > 1)
             first, last = min(p.times[0] for p in parts), max(p.times[-1] for p in parts)
             count = int(np.floor((last - first) / step + 1e-6)) + 1
             times = np.minimum(first + step * np.arange(count), last)
-            at: dict[str, Any] = {"at": times, "max_gap": max_gap}
-            R = [signals.interpolate_rotations(part.times, part.R_inertial_sensor, **at) for part in parts]
-            f = [signals.interpolate(part.times, part.f_sensor, **at) for part in parts]
-        return cls(
-            times=times,
-            R_inertial_sensor=np.concatenate(R, axis=1),
-            f_sensor=np.concatenate(f, axis=1),
-            names=tuple(name for part in parts for name in part.names),
-        )
+        R, f, stop = np.empty((len(times), len(names), 3, 3)), np.empty((len(times), len(names), 3)), 0
+        for part in parts:
+            own, turned, felt = slice(stop, stop + len(part.names)), part.R_inertial_sensor, part.f_sensor
+            R[:, own] = signals.interpolate_rotations(part.times, turned, times, max_gap) if resampled else turned
+            f[:, own] = signals.interpolate(part.times, felt, times, max_gap) if resampled else felt
+            stop = own.stop
+        shared(R, f)
+        return cls(times, R, f, tuple(names))
 
     def select(self, names: Sequence[str]) -> Self:
         """Return sensors in the order of `names`. `UnknownNameError`: a sensor does not exist."""

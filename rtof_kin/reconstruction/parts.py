@@ -19,7 +19,7 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.array_types import Array, Index, blocks_of
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
@@ -187,7 +187,8 @@ def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:
 
 def _moves(keypoints: KeypointSequence) -> Array:
     """(T - 1,) px by which all points move from one frame to the next."""
-    return np.asarray(np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2)))
+    parts = (np.diff(keypoints.uv_px[rows.start : rows.stop + 1], axis=0) for rows in blocks_of(len(keypoints) - 1))
+    return np.concatenate([np.zeros(0), *(np.nan_to_num(np.abs(part)).sum(axis=(1, 2)) for part in parts)])
 
 
 def moved_in(keypoints: KeypointSequence, seconds: float) -> tuple[Array, Index]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
 from rtof_kin.core.checks import checked_times, indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError, reading
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
@@ -111,7 +111,8 @@ class Source:
 
     def keep(self, whole: Part) -> Stream[Part]:
         """Return the stream of samples that could only be read as a whole."""
-        kept = self._kept([{name: array for name, array in whole.cut(ALL).items() if isinstance(array, np.ndarray)}])
+        blocks = (whole.cut(rows).items() for rows in blocks_of(len(whole)))
+        kept = self._kept({name: array for name, array in own if isinstance(array, np.ndarray)} for own in blocks)
         first = whole[:1]  # nothing here holds the whole
 
         def part(rows: slice) -> Part:

@@ -11,12 +11,14 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.core.files.manifest import fingerprint, made_from
@@ -31,7 +33,7 @@ from rtof_kin.reconstruction.parts import moved_in
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, read_corrections, with_corrections
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import RecordingReader
 from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.setup.camera import MOTION, assumed_camera, calibrated_camera, filming_camera, seen_camera
 from rtof_kin.setup.people import (
@@ -49,7 +51,7 @@ from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections, of_body
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.keypoints import keypoints_from_detections
+from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
 from rtof_kin.vision.layouts import Layout, is_layout_file, layout_named
 from rtof_kin.vision.person_detector import choose_detector
@@ -242,19 +244,13 @@ def write_recording(
         "name": Field(name or sources.name),
         "subject": {"height_m": height},
     }
-    if sources.seen:
-        seen = _seen(sources, settings, folder, skeleton, progress or (lambda *_: None))
-    else:
-        log = read_sensor_log(sources.sensors)
-        seen = _Seen({}, [], None, sensors_by_pose(log, sources.sensor_map, settings.pose, skeleton))
-    sensors = seen.sensors
-    of_sensors: Tables = {} if sensors is None else {"imus": sensors.fields}
-    tables: Tables = {**about, **seen.tables, **of_sensors}
-    doubts = [*seen.doubts, *(sensors.doubts if sensors is not None else ())]
-    said: dict[str, list[str]] = {origin.value: [] for origin in Origin}
-    for origin, sentence in summaries(tables):
-        said[origin.value].append(sentence)
-    sentences = {kind: tuple(some) for kind, some in said.items()}
+    tell = progress or (lambda *_: None)
+    seen = _seen(sources, settings, folder, tell) if sources.seen else None
+    sensors = _sensors(seen, sources, settings, skeleton, tell) if sources.sensors else None
+    tables: Tables = {**about, **(seen.tables if seen else {}), **({"imus": sensors.fields} if sensors else {})}
+    doubts = [*(seen.doubts if seen else ()), *(sensors.doubts if sensors else ())]
+    said = list(summaries(tables))
+    sentences = {one.value: tuple(sentence for origin, sentence in said if origin is one) for one in Origin}
     found = Findings(**sentences, doubtful=tuple(doubts), places={} if sensors is None else sensors.places)
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
@@ -267,7 +263,7 @@ def write_recording(
         for kept in (KEYPOINTS, PICTURE) if sources.seen else ():
             if kept == KEYPOINTS or (folder / kept).exists():
                 shutil.copyfile(folder / kept, fresh / kept)
-        if seen.turned is not None:
+        if seen is not None and seen.turned is not None:
             write_camera_motion(fresh / MOTION, seen.turned)
         if sensors is not None:
             write_imus(fresh / IMUS, sensors.imus)
@@ -277,23 +273,57 @@ def write_recording(
             if sources.video is not None and not settings.keep_video:
                 text = text.replace(str(sources.video), "the video").replace(sources.video.name, "the video")
             write_text(fresh / file, text)
-        Recording.load(fresh)
+        del seen, sensors  # an hour of them is large, and so is what is read now
+        return_free_memory()
+        with RecordingReader.open(fresh):
+            pass
     return found
 
 
 class _Seen(NamedTuple):
-    """What a video shows: tables of camera, keypoints and session, and the sensors that it is related to."""
+    """What a video shows: tables of camera, keypoints and session, and by what sensors are related to it."""
 
-    tables: Tables
+    tables: dict[str, Tables]
     doubts: list[str]
     turned: CameraMotion | None
-    sensors: SetupSensors | None
+    placed: bool  #: Whether it is known where the camera stands
+    enough: KeypointSequence  #: By which sensors are set up
+    whole: Callable[[], KeypointSequence] | None  #: Reads all keypoints again, where those are a part
+    start_utc: datetime | None
 
 
-def _seen(
-    sources: Sources, settings: SetupSettings, folder: Path, skeleton: SkeletonModel, progress: Progress
-) -> _Seen:
+def _sensors(
+    seen: _Seen | None, sources: Sources, settings: SetupSettings, skeleton: SkeletonModel, progress: Progress
+) -> SetupSensors:
+    return_free_memory()
+    log = read_sensor_log(sources.sensors)
+    return_free_memory()
+    if seen is None:
+        return sensors_by_pose(log, sources.sensor_map, settings.pose, skeleton)
+
+    def set_up(some: KeypointSequence) -> SetupSensors:
+        """Return the sensors by these keypoints, with errors of `set_up_sensors`."""
+        even = evenly_spaced(some)
+        progress("lift", 0, 1)
+        poses = lift(even, skeleton, settings.lifter, None, None if seen.placed else 0.0).poses
+        progress("lift", 1, 1)
+        progress("sensors", 0, 1)
+        found = set_up_sensors(log, sources.sensor_map, poses, even, skeleton, seen.start_utc)
+        progress("sensors", 1, 1)
+        return found
+
+    if seen.whole is None:
+        return set_up(seen.enough)
+    with suppress(RtofError):  # perhaps the sensors began later or ended earlier
+        found = set_up(seen.enough)
+        if not any(doubt.startswith(CLOCK_DOUBT) for doubt in found.doubts):
+            return found
+    return set_up(seen.whole())
+
+
+def _seen(sources: Sources, settings: SetupSettings, folder: Path, progress: Progress) -> _Seen:
     people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
+    start_utc = None if video.metadata is None else video.metadata.start_utc
     number = choose_person(people, settings.person, str(folder / PICTURE))
     if sources.camera is not None:
         known = video.size_px if sources.video is not None or settings.size_px is not None else None
@@ -303,36 +333,19 @@ def _seen(
         camera = assumed_camera(*video.size_px, lens_prior(*video.size_px, video.metadata), video.size)
     filmed = replace(people.detections, times=people.times)
     filming = filming_camera(sources.video, filmed, camera, settings.phone_log, progress)
-    camera, turned = filming.camera, filming.motion
+    at_first, turned = filming.camera.camera, filming.motion
     layout = None if settings.layout is None else layout_named(settings.layout)
-    detected = keypoints_from_detections(
-        people.detections, people.times, camera.camera, layout, number - 1, people.first_frame(number)
-    )
-    still = detected.keypoints if turned is None else stabilised(detected.keypoints, turned)
-    sensors, start_utc = None, None if video.metadata is None else video.metadata.start_utc
+
+    def of_person(people: People) -> tuple[DetectedKeypoints, KeypointSequence]:
+        """Return the keypoints of the person as they were found, and as of a camera that stands still."""
+        first = people.first_frame(number)
+        found = keypoints_from_detections(people.detections, people.times, at_first, layout, number - 1, first)
+        return found, found.keypoints if turned is None else stabilised(found.keypoints, turned)
+
+    camera, (detected, still) = filming.camera, of_person(people)
     if sources.sensors and not camera.placed:
         camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
         still = replace(still, camera=camera.camera)
-    if sources.sensors:
-        log, ground = read_sensor_log(sources.sensors), None if camera.placed else 0.0
-
-        def set_up(some: KeypointSequence) -> SetupSensors:
-            """Return the sensors by these keypoints, with errors of `set_up_sensors`."""
-            even = evenly_spaced(some)
-            progress("lift", 0, 1)
-            poses = lift(even, skeleton, settings.lifter, None, ground).poses
-            progress("lift", 1, 1)
-            progress("sensors", 0, 1)
-            found = set_up_sensors(log, sources.sensor_map, poses, even, skeleton, start_utc)
-            progress("sensors", 1, 1)
-            return found
-
-        enough = liveliest(still)
-        if shorter := len(enough) < len(still):
-            with suppress(RtofError):  # perhaps the sensors began later or ended earlier
-                sensors = set_up(enough)
-        if sensors is None or (shorter and any(doubt.startswith(CLOCK_DOUBT) for doubt in sensors.doubts)):
-            sensors = set_up(still)
     tables: dict[str, Tables] = {}
     if start_utc is not None:
         tables["session"] = {"date": Field(start_utc.date().isoformat(), Origin.FILE, "the video, in UTC")}
@@ -343,7 +356,14 @@ def _seen(
     tables["camera"] = camera.fields
     tables["keypoints"] = _keypoints(sources, settings, detected.recognition.layout, people, number)
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
-    return _Seen(tables, doubts, turned, sensors)
+
+    def whole() -> KeypointSequence:
+        """Return all keypoints, which are not kept: an hour of them is half of what a command may take."""
+        return replace(of_person(read_people(folder / KEYPOINTS))[1], camera=camera.camera)
+
+    enough = liveliest(still)
+    again = whole if len(enough) < len(still) else None
+    return _Seen(tables, doubts, turned, camera.placed, enough, again, start_utc)
 
 
 def liveliest(keypoints: KeypointSequence) -> KeypointSequence:

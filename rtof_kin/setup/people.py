@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
 from rtof_kin.core.errors import InvalidInputError, UndecidedError
 from rtof_kin.core.files.arrays import read_npz, write_npz
 from rtof_kin.core.files.folder import new_file
@@ -65,17 +65,19 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     if points.max() < _FEWEST_POINTS:
         raise no_person()
     kept = [(track, weight) for track, weight in tracks if weight >= _LEAST_WEIGHT * tracks[0][1]]
-    uv, confidence, in_space = zip(
-        *((*track.of(detections), track.in_space(detections)) for track, _ in kept), strict=True
-    )
-    numbers = np.broadcast_to(np.arange(len(kept)), (len(times), len(kept)))
+    shape = (len(times), len(kept), detections.uv_px.shape[2])
+    uv, confidence = np.empty((*shape, 2)), np.empty(shape)
+    for number, (track, _) in enumerate(kept):
+        for frames in blocks_of(len(times)):
+            uv[frames, number], confidence[frames, number] = track.of(detections, frames)
+    in_space = [p for track, _ in kept if (p := track.in_space(detections)) is not None]
     own = replace(
         detections,
-        uv_px=np.stack(uv, axis=1),
-        confidence=np.stack(confidence, axis=1),
+        uv_px=uv,
+        confidence=confidence,
         times=times,
-        identity=numbers,
-        p_model=None if detections.p_model is None else np.stack(in_space, axis=1),
+        identity=np.broadcast_to(np.arange(len(kept)), shape[:2]),
+        p_model=np.stack(in_space, axis=1) if in_space else None,
     )
     weights = tuple(weight / kept[0][1] for _, weight in kept)
     return People(own, times, weights)
@@ -83,6 +85,8 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
 
 def _without_doubles(detections: Detections) -> Detections:
     """Return the detections without those that a detector made twice of one person; the surer one stays."""
+    if detections.uv_px.shape[1] == 1:
+        return detections
     uv, confidence = np.array(detections.uv_px), np.array(detections.confidence)
     for p, q in combinations(range(uv.shape[1]), 2):
         # The frames (T,) in which both are one, by most of the points that both have.
@@ -115,7 +119,7 @@ def write_people(path: Path, people: People) -> None:
 
 def read_people(path: Path) -> People:
     """Read what `write_people` wrote. `FileFormatError`: damaged."""
-    found, weights = read_detector_file(path), read_npz(path)["weights"]
+    found, weights = read_detector_file(path), read_npz(path, names=["weights"])["weights"]
     assert found.times is not None
     return People(found, found.times, tuple(weights.tolist()))
 

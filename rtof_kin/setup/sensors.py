@@ -38,6 +38,7 @@ _SURE = 0.95  # Probability of a segment below which a sensor is left out: lower
 _USUAL_REACH, _NEAR = 600.0, 60.0
 """[s] Offsets that are searched: at least, and, beside the video's length, about the one that files state."""
 _BELONGING = 0.15  # [1] Part of the image's motion below which sensors are of another take; of right ones 0.2 at least
+_JUDGED: Final = 600.0  # [s] around the video of which it is judged which sensor is where, where it is shorter
 _SAME_DAY: Final = timedelta(days=1)
 _LEAST_COMMON = 2.0  # [s] Least time that video and sensors have in common
 
@@ -86,7 +87,7 @@ def set_up_sensors(
     _check_overlap(clock.apply(log), keypoints.times)
     doubts = [apart, *still, f"{CLOCK_DOUBT}: {clock.doubt}" if clock.doubt else ""]
     if places is None or joints is None:
-        places, unsure, found_places = _assigned(clock.apply(log), skeleton, poses)
+        places, unsure, found_places = _assigned(_around(clock.apply(log), poses.times), skeleton, poses)
         likely |= found_places
         joints = {name: str(field.value) for name, field in places.items()}
         log = log.select(list(joints))
@@ -96,7 +97,7 @@ def set_up_sensors(
         clock = replace(again, doubt=clock.doubt, sigma=sigma)
         doubts += unsure
     else:
-        checked = check_assignment(clock.apply(log), joints, skeleton, poses)
+        checked = check_assignment(_around(clock.apply(log), poses.times), joints, skeleton, poses)
         doubts += [f"sensor {wrong}; correct the map, or the name" for wrong in checked.wrong]
         doubts += [f"which sensor is where: {checked.doubt}"] if checked.doubt else []
     found = align_sensors(poses, keypoints, clock.apply(log), joints, skeleton, calibrate_recording)
@@ -186,6 +187,13 @@ def _check_overlap(log: SensorLog, times: Array) -> None:
             f"{log.path}: its sensors recorded from {first:.1f} to {last:.1f} s of the video's clock, the "
             f"video from {times[0]:.1f} to {times[-1]:.1f} s; give the files of one take"
         )
+
+
+def _around(log: SensorLog, times: Array) -> SensorLog:
+    """Return the samples of `_JUDGED` seconds around the video, or of all of it."""
+    margin = max(1.0, (_JUDGED - float(np.ptp(times))) / 2)
+    parts = [stream.between(times[0] - margin, times[-1] + margin) or stream for stream in log.streams]
+    return replace(log, streams=tuple(parts))
 
 
 def _assigned(

@@ -145,7 +145,7 @@ class Detections:
         """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
         `InvalidInputError`: the image size is missing.
         """
-        largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
+        largest = max(float(np.nanmax(self.uv_px, initial=0.0)), -float(np.nanmin(self.uv_px, initial=0.0)))
         if largest > _LARGEST_RELATIVE:
             return self
         if width_px is None or height_px is None:

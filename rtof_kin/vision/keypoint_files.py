@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import shared
 from rtof_kin.core.errors import FileFormatError, reading
 from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
@@ -108,7 +109,8 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
     if points.ndim not in (3, 4) or points.shape[-1] not in (2, 3):
         shapes = "neither (T, K, 2 or 3) nor (T, P, K, 2 or 3)"
         raise FileFormatError(path, f"keypoints: shape {points.shape} is {shapes}")
-    uv = points[..., :2]
+    shared(*arrays.values())
+    uv = points if points.shape[-1] == 2 else points[..., :2]
     confidence = _one_of(path, arrays, ("confidence", "scores", "keypoint_scores"))
     if confidence is None:
         confidence = points[..., 2] if points.shape[-1] == 3 else np.isfinite(uv).all(axis=-1).astype(float)

@@ -79,6 +79,12 @@ class _Measures:
         self.identified = bool((self.identity[self.present] != NO_IDENTITY).all())
 
 
+def _median(values: Array) -> Array:
+    """Return that of a few values (n, ...) without NaN: the same as NumPy's in a fifth of its time."""
+    ordered, n = np.sort(values, axis=0), len(values)
+    return np.asarray((ordered[(n - 1) // 2] + ordered[n // 2]) / 2)
+
+
 @dataclass(eq=False)
 class _Trail:
     """A person without gaps longer than `_LONGEST_GAP`."""
@@ -99,7 +105,7 @@ class _Trail:
             moved = points - self.points
             both = np.isfinite(moved).all(axis=-1)
             if both.sum() >= _FEW_POINTS:
-                step = np.median(moved[both], axis=0) / max(now - self.seen_at, 1e-3)
+                step = _median(moved[both]) / max(now - self.seen_at, 1e-3)
                 self.velocity = 0.7 * self.velocity + 0.3 * step
         self.size = self.size + 0.3 * (size - self.size) if self.frames else size
         self.points, self.seen_at = points, now
@@ -124,7 +130,7 @@ class _Trail:
         far = np.linalg.norm(measures.uv[t, person] - expected, axis=-1)
         both = np.isfinite(far)
         if both.sum() >= _FEW_POINTS:
-            distance = float(np.median(far[both]))
+            distance = float(_median(far[both]))
         else:
             distance = float(np.linalg.norm(measures.centre[t, person] - np.nanmean(expected, axis=0)))
         distance /= max(size, self.size)

@@ -13,7 +13,7 @@ from setup_support import write_demo
 from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
-from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -94,6 +94,18 @@ def test_names_of_segments_need_no_map(take: Take) -> None:
     named = take.log.renamed(dict(take.segments))
     found = take.set_up(named, None)
     assert found.imus.names == tuple(take.segments.values())
+
+
+def test_places_are_judged_around_the_video_and_by_all_of_a_long_one() -> None:
+    times = np.arange(0.0, 3600.0, 0.5)
+    log = SensorLog(Path("log"), "planted", (SensorStream("a", times, np.zeros((len(times), 3))),), Declaration())
+    for start, stop, first, last in (
+        (1000.0, 1020.0, 710.0, 1309.5),
+        (0.0, 20.0, 0.0, 309.5),
+        (500.0, 2500.0, 499.0, 2500.5),
+    ):
+        found = sensors._around(log, np.array([start, stop])).streams[0].times
+        assert (found[0], found[-1]) == (first, last)
 
 
 def test_unnamed_sensors_are_placed_by_motion_or_left_out_and_named(take: Take) -> None:

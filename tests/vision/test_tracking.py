@@ -16,7 +16,7 @@ from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.landmark_regression import LandmarkRegression
 from rtof_kin.vision.layouts import detector_table, own
-from rtof_kin.vision.tracking import NOBODY, PersonFollower, track_person
+from rtof_kin.vision.tracking import NOBODY, PersonFollower, _median, track_person
 
 Array = NDArray[np.float64]
 T = 90
@@ -52,6 +52,13 @@ def test_a_single_person_is_never_ambiguous() -> None:
     track = track_person(found, TIMES)
     np.testing.assert_array_equal(track.person, 0)
     assert (track.people, track.ambiguous.any(), track.lost.any()) == (1, False, False)
+
+
+def test_medians_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(0)
+    for shape in ((1,), (2, 2), (3,), (6, 2), (33, 2), (32,)):
+        values = rng.normal(size=shape)
+        assert np.array_equal(_median(values), np.median(values, axis=0))
 
 
 def test_people_are_tracked_in_any_order() -> None:

@@ -79,7 +79,7 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | No
     such file, or it is damaged, larger than `limit` bytes, or has numbers of another type or magnitude.
     """
     saved = read_npz_as_saved(path, limit, names=names)
-    return {name: _as_floats(path, name, array) for name, array in saved.items()}
+    return {name: _as_floats(path, name, saved.pop(name)) for name in [*saved]}  # one at a time: they may be large
 
 
 def read_npz_as_saved(

@@ -136,7 +136,7 @@ def numbers_of(
 def measurable(array: Array) -> bool:
     """Return whether all finite numbers are within `LARGEST_NUMBER`."""
     with np.errstate(invalid="ignore"):
-        return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
+        return not np.any(((array > LARGEST_NUMBER) | (array < -LARGEST_NUMBER)) & np.isfinite(array))
 
 
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
