@@ -51,7 +51,7 @@ from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections, of_body
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
+from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
 from rtof_kin.vision.layouts import Layout, is_layout_file, layout_named
 from rtof_kin.vision.person_detector import choose_detector
@@ -281,7 +281,7 @@ def write_recording(
 
 
 class _Seen(NamedTuple):
-    """What a video shows: tables of camera, keypoints and session, and by what sensors are related to it."""
+    """What a video shows: tables of camera, keypoints and session, and the keypoints that sensors are related to."""
 
     tables: dict[str, Tables]
     doubts: list[str]
@@ -295,7 +295,6 @@ class _Seen(NamedTuple):
 def _sensors(
     seen: _Seen | None, sources: Sources, settings: SetupSettings, skeleton: SkeletonModel, progress: Progress
 ) -> SetupSensors:
-    return_free_memory()
     log = read_sensor_log(sources.sensors)
     return_free_memory()
     if seen is None:
@@ -336,13 +335,13 @@ def _seen(sources: Sources, settings: SetupSettings, folder: Path, progress: Pro
     at_first, turned = filming.camera.camera, filming.motion
     layout = None if settings.layout is None else layout_named(settings.layout)
 
-    def of_person(people: People) -> tuple[DetectedKeypoints, KeypointSequence]:
-        """Return the keypoints of the person as they were found, and as of a camera that stands still."""
+    def of_person(people: People) -> tuple[Layout, KeypointSequence]:
+        """Return the detector's layout, and the keypoints of the person as of a camera that stands still."""
         first = people.first_frame(number)
         found = keypoints_from_detections(people.detections, people.times, at_first, layout, number - 1, first)
-        return found, found.keypoints if turned is None else stabilised(found.keypoints, turned)
+        return found.recognition.layout, found.keypoints if turned is None else stabilised(found.keypoints, turned)
 
-    camera, (detected, still) = filming.camera, of_person(people)
+    camera, (kind, still) = filming.camera, of_person(people)
     if sources.sensors and not camera.placed:
         camera = seen_camera(camera, still, settings.height, settings.lifter, progress)
         still = replace(still, camera=camera.camera)
@@ -354,8 +353,8 @@ def _seen(sources: Sources, settings: SetupSettings, folder: Path, progress: Pro
         floor = Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")
         tables["scene"] = {"floor_height_m": floor}
     tables["camera"] = camera.fields
-    tables["keypoints"] = _keypoints(sources, settings, detected.recognition.layout, people, number)
-    doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
+    tables["keypoints"] = _keypoints(sources, settings, kind, people, number)
+    doubts = [*_doubts(settings, still, people, number), *filming.doubts]
 
     def whole() -> KeypointSequence:
         """Return all keypoints, which are not kept: an hour of them is half of what a command may take."""
