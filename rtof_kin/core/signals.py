@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
+from scipy.linalg import lapack
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.errors import InvalidInputError
 
 
 def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
@@ -106,18 +106,34 @@ def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:
     return np.asarray(np.diff(np.asarray(values, dtype=float), n=order, axis=0) * rate_hz**order)
 
 
-def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2) -> Array:
-    """Apply a zero-phase Butterworth low-pass (-3 dB of one pass at `cutoff_hz`) along the first axis, forwards and
-    backwards.
+def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float) -> Array:
+    """Apply a zero-phase Butterworth low-pass of order 2 (-3 dB of one pass at `cutoff_hz`) along the first axis,
+    forwards and backwards. `InvalidInputError`: the cutoff is not below half the sampling rate.
+
+    The signal is continued by its reflection in its ends, and was constant before. A pass is a triangular banded
+    system (coefficients by the bilinear transform: Oppenheim & Schafer 2010, 7.2). `scipy.signal.sosfiltfilt` computes
+    the same but takes 0.25 to 0.4 s to import, a tenth of a short reconstruction.
     """
-    values, sos = np.asarray(values, dtype=float), _butterworth(order, cutoff_hz, rate_hz)
-    padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    return np.asarray(scipy.signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
-
-
-@lru_cache(maxsize=64)
-def _butterworth(order: int, cutoff_hz: float, rate_hz: float) -> Array:
-    return np.asarray(scipy.signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
+    if not 0 < cutoff_hz < rate_hz / 2:
+        raise InvalidInputError(f"cutoff of {cutoff_hz:g} Hz: not above 0 and below half the rate, {rate_hz:g} Hz")
+    values = np.asarray(values, dtype=float)
+    if values.size == 0:
+        return values
+    w, padding = np.tan(np.pi * cutoff_hz / rate_hz), min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
+    scale, x = 1 + np.sqrt(2) * w + w**2, values.reshape(len(values), -1).T
+    before, after = 2 * x[:, :1] - x[:, padding:0:-1], 2 * x[:, -1:] - x[:, -2 : -2 - padding : -1]
+    x = np.concatenate([before, x, after], axis=1)
+    band = np.empty((3, x.shape[1]), order="F")
+    band.T[:] = 1, 2 * (w**2 - 1) / scale, (1 - np.sqrt(2) * w + w**2) / scale
+    for _ in range(2):
+        first = x[:, :1].copy()
+        x -= first
+        right = x.copy()
+        right[:, 1:] += 2 * x[:, :-1]
+        right[:, 2:] += x[:, :-2]
+        right *= w**2 / scale
+        x = (lapack.dtbtrs(band, right.T, uplo="L", diag="U", overwrite_b=1)[0].T + first)[:, ::-1].copy()
+    return np.asarray(x[:, padding : padding + len(values)].T.reshape(values.shape))
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
+from rtof_kin.core.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(1)
@@ -135,6 +137,31 @@ def test_low_pass_keeps_slow_and_removes_fast_signals_without_delay() -> None:
     assert np.abs(out[:, 2]).max() < 5e-3
     assert_close(out[:, 3], out[:, 0] + 5, 1e-6)
     assert_close(signals.low_pass(np.full((5, 2), 3.0), 60.0, 6.0), np.full((5, 2), 3.0), 1e-9)
+
+
+@pytest.mark.parametrize(("frames", "cutoff_hz"), [(1, 10.0), (2, 6.0), (5, 29.9), (400, 6.0), (3000, 0.2)])
+def test_low_pass_equals_scipys_filter_forwards_and_backwards(frames: int, cutoff_hz: float) -> None:
+    x = 50 + np.cumsum(RNG.normal(size=(frames, 2, 3)), axis=0)
+    kept = x.copy()
+    sos = scipy.signal.butter(2, cutoff_hz, fs=60.0, output="sos")
+    expected = scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=min(frames - 1, int(180 / cutoff_hz)))
+    assert_close(signals.low_pass(x, 60.0, cutoff_hz), expected, 1e-9)
+    np.testing.assert_array_equal(x, kept)
+
+
+def test_low_pass_of_no_signal_is_none_and_a_gap_stays_in_its_column() -> None:
+    assert signals.low_pass(np.zeros((5, 0)), 60.0, 6.0).shape == (5, 0)
+    x = RNG.normal(size=(30, 2))
+    x[7, 1] = np.nan
+    out = signals.low_pass(x, 60.0, 6.0)
+    assert_close(out[:, :1], signals.low_pass(x[:, :1], 60.0, 6.0))
+    assert np.isnan(out[:, 1]).any()
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.0, 30.0, 60.0, np.nan])
+def test_a_cutoff_beyond_half_the_rate_is_an_error(cutoff_hz: float) -> None:
+    with pytest.raises(InvalidInputError, match="cutoff"):
+        signals.low_pass(np.zeros((9, 1)), 60.0, cutoff_hz)
 
 
 def test_low_pass_filters_each_interval_between_gaps() -> None:

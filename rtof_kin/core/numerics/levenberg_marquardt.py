@@ -15,6 +15,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.banded import Factor
 
 _LEAST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
@@ -29,13 +30,6 @@ _EARLY: Final = 10.0  #: Multipliers are updated if the predicted decrease is be
 
 _CAUTION: Final = 4.0
 """Factor on the decrease expected after a step: its own times the relative error of the prediction."""
-
-
-class Factor(Protocol):
-    """A factorised Hessian."""
-
-    def solve(self, right: Array) -> Array:
-        """Return the solution for a right-hand side."""
 
 
 class Problem(Protocol):
