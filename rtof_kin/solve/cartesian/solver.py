@@ -16,9 +16,9 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import Store
+from rtof_kin.core.numerics.banded import Factor, Store
 from rtof_kin.core.numerics.c_compiler import BUILDING, Buffered
-from rtof_kin.core.numerics.levenberg_marquardt import Factor, LevenbergMarquardt
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
