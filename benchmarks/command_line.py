@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -47,3 +49,11 @@ def in_parallel(function: Callable[[Job], Found], jobs: Iterable[Job], workers: 
     jobs = list(jobs)
     with ProcessPoolExecutor(workers) as pool:
         return list(track(pool.map(function, jobs), "recordings", len(jobs)))
+
+
+def resident_memory(process: int) -> int:
+    """The memory that a process has now, bytes; 0 where it is not known."""
+    with suppress(OSError):
+        found = re.search(r"^VmRSS:\s*(\d+) kB", Path(f"/proc/{process}/status").read_text("utf-8"), re.MULTILINE)
+        return 1024 * int(found.group(1)) if found else 0
+    return 0

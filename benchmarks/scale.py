@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command_line import study_parser, table_head
+from benchmarks.command_line import resident_memory, study_parser, table_head
 from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
 from rtof_kin.batch.rows import Row, RowFile
 from rtof_kin.batch.run import SHARE, Batch, Place, run_batch, write_tables
 from rtof_kin.core.jobs import Processes
-from rtof_kin.core.jobs.memory import peak_memory, reset_peak, resident_memory
+from rtof_kin.core.jobs.memory import peak_memory, reset_peak
 
 CHAIN = "reconstruct, report"
 SIZES = 10**4, 10**6

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import harness
+from benchmarks.command_line import resident_memory
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording
 from benchmarks.online.streams import portions, setup_of
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.jobs.memory import resident_memory
 from rtof_kin.live.samples import OnlineEstimate, Sample
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording

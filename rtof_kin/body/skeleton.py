@@ -41,12 +41,6 @@ class ConfigurationReport:
     limit_excess: Array  #: (T, D) excess of each revolute beyond its limits, rad; 0 inside
     dof_names: tuple[str, ...]  #: Names of the D revolutes
 
-    @property
-    def violations(self) -> dict[str, float]:
-        """Largest excess, rad, of each revolute that violates its limits."""
-        worst = np.nanmax(self.limit_excess, axis=0, initial=0)
-        return {n: float(w) for n, w in zip(self.dof_names, worst, strict=True) if w > 0}
-
 
 SINGULAR_MARGIN = np.radians(5.0)  # of a middle angle from +-90 degrees; closer postures are singular
 

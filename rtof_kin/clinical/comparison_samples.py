@@ -271,7 +271,7 @@ def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: flo
     (rival, rival_agreement), known = scan.rival, scan.rival[1] > 0
     return Alignment(
         scan.best,
-        _jackknife(np.array(without)),
+        float(np.sqrt((len(without) - 1) * np.var(without))) if without else float("nan"),  # the jackknife's
         scan.gain,
         rival if known else float("nan"),
         rival_agreement if known else float("nan"),
@@ -301,9 +301,3 @@ def _correlations(a: Array, b: Array) -> Array:
     known_a, known_b = (a != 0).astype(float), (reverse != 0).astype(float)
     pairs = (a, reverse), (a**2, known_b), (known_a, reverse**2)
     return np.stack([scipy.signal.fftconvolve(*pair) for pair in pairs])
-
-
-def _jackknife(peaks: Array) -> float:
-    """Standard deviation, s, from the best shifts (n,) without one of n angles each; NaN without any."""
-    n = len(peaks)
-    return float(np.sqrt((n - 1) / n * np.sum((peaks - np.mean(peaks)) ** 2))) if n else float("nan")

@@ -111,29 +111,26 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float) -> Array:
     forwards and backwards. `InvalidInputError`: the cutoff is not below half the sampling rate.
 
     The signal is continued by its reflection in its ends, and was constant before. A pass is a triangular banded
-    system (coefficients by the bilinear transform: Oppenheim & Schafer 2010, 7.2). `scipy.signal.sosfiltfilt` computes
-    the same but takes 0.25 to 0.4 s to import, a tenth of a short reconstruction.
+    system (bilinear transform: Oppenheim & Schafer 2010, 7.2). `scipy.signal` does the same, 0.4 s after its import.
     """
     if not 0 < cutoff_hz < rate_hz / 2:
         raise InvalidInputError(f"cutoff of {cutoff_hz:g} Hz: not above 0 and below half the rate, {rate_hz:g} Hz")
     values = np.asarray(values, dtype=float)
     if values.size == 0:
         return values
-    w, padding = np.tan(np.pi * cutoff_hz / rate_hz), min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    scale, x = 1 + np.sqrt(2) * w + w**2, values.reshape(len(values), -1).T
-    before, after = 2 * x[:, :1] - x[:, padding:0:-1], 2 * x[:, -1:] - x[:, -2 : -2 - padding : -1]
-    x = np.concatenate([before, x, after], axis=1)
+    w, ends = np.tan(np.pi * cutoff_hz / rate_hz), min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
+    scale = 1 + np.sqrt(2) * w + w**2
+    x = np.pad(values.reshape(len(values), -1).T, ((0, 0), (ends, ends)), mode="reflect", reflect_type="odd")
     band = np.empty((3, x.shape[1]), order="F")
     band.T[:] = 1, 2 * (w**2 - 1) / scale, (1 - np.sqrt(2) * w + w**2) / scale
     for _ in range(2):
         first = x[:, :1].copy()
         x -= first
-        right = x.copy()
-        right[:, 1:] += 2 * x[:, :-1]
-        right[:, 2:] += x[:, :-2]
-        right *= w**2 / scale
+        right = x * (w**2 / scale)
+        right[:, 1:] += 2 * (w**2 / scale) * x[:, :-1]
+        right[:, 2:] += w**2 / scale * x[:, :-2]
         x = (lapack.dtbtrs(band, right.T, uplo="L", diag="U", overwrite_b=1)[0].T + first)[:, ::-1].copy()
-    return np.asarray(x[:, padding : padding + len(values)].T.reshape(values.shape))
+    return np.asarray(x[:, ends : ends + len(values)].T.reshape(values.shape))
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:

@@ -193,8 +193,8 @@ def _adapted(path: Path, camera: Camera, layout: str) -> KeypointSequence:
     times = np.arange(len(found)) / _VIDEO_HZ if found.times is None else found.times
     with naming(path):
         adapted = keypoints_from_detections(found, times, camera, None if layout == RECOGNISE else layout)
-    _log.info("%s: %s", path, adapted.summary)
-    return adapted.keypoints
+        _log.info("%s: %s", path, adapted.summary)
+        return adapted.keypoints
 
 
 def _landmarks(folder: Path, skeleton: SkeletonModel) -> tuple[str, ...]:

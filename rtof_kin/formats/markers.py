@@ -248,16 +248,13 @@ def _read_head(path: Path, data: bytes) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             reader = _Reader(io.BytesIO(data[:_LARGEST_HEAD]))
-        cut = [p for group in reader.group_values() for p in group.param_values() if _is_cut(p)]
+        whole = [p for group in reader.group_values() for p in group.param_values()]
+        cut = [p for p in whole if p.bytes_per_element not in (-1, 1, 2, 4) or len(p.bytes) != p.total_bytes]
     except Exception as error:
         raise FileFormatError(path, f"its parameters are cut off or damaged ({error!r:.80})") from error
     if cut:
         raise FileFormatError(path, f"its parameter {cut[0].name[:40]} is cut off or damaged")
     return reader
-
-
-def _is_cut(parameter: Any) -> bool:
-    return parameter.bytes_per_element not in (-1, 1, 2, 4) or len(parameter.bytes) != parameter.total_bytes
 
 
 def read_c3d_events(path: str | Path) -> list[tuple[str, float]]:

@@ -56,11 +56,6 @@ class LslSource(ABC):
         self._first = True  # whether no sample came since it was connected
         self._notices: list[str] = []
 
-    @property
-    def clock_offset_s(self) -> float:
-        """What is added to the sender's stamps now, s; 0 before it was measured."""
-        return self._offset_s + self._shift_s
-
     def start(self) -> None:
         """Find the stream and connect, unless that is done; takes about a second. `SourceError`: no stream, or two, of
         the name; no connection; channels that cannot be used, or others than before.

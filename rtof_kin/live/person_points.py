@@ -51,7 +51,7 @@ class PersonPoints:
                 f"{', '.join(map(str, _LAYOUTS))}; take a model with as many"
             )
         self._form = self._regression.table.layout(_LAYOUTS[detector.points])
-        self.names = keypoint_names(self._form, self._regression)
+        self.names = keypoint_names(self._form)
         """L names of the points."""
         self._follower = PersonFollower(image_px)
         self._scale = _scale(image_px, camera_px)

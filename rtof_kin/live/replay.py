@@ -252,9 +252,10 @@ class RecordingReplay:
         """
         try:
             found = read_detector_keypoints(path, camera)
+            keypoints = found.keypoints
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(f"{Path(path).name} ({VIDEO})", [], Stream.of(found.keypoints), replay, clock)
+        own = cls(f"{Path(path).name} ({VIDEO})", [], Stream.of(keypoints), replay, clock)
         own._notices.append(f"{own.name}: {found.summary}")
         return own
 

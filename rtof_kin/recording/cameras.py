@@ -35,7 +35,7 @@ from rtof_kin.recording.tables import (
     KeypointsTable,
     UncertaintyTable,
 )
-from rtof_kin.vision.keypoints import read_detector_keypoints
+from rtof_kin.vision.keypoints import DetectedKeypoints, read_detector_keypoints
 from rtof_kin.vision.layouts import is_detector_point, is_layout_file, layout_named
 
 _SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
@@ -228,7 +228,8 @@ def _keypoint_stream(
 ) -> Stream[KeypointSequence]:
     """Open keypoints whose names are landmarks of the skeleton."""
     if table.is_detected:
-        return source.keep(_read_detected(table, camera, skeleton))
+        found = _read_detected(table, camera, skeleton)
+        return source.keep(found.times, (_on_video(part, table.start_s) for part in found.blocks()))
     if table.frame is not None:
         raise table.error("frame", "belongs to a detector's file; give its layout, or auto")
     path = data_path(table)
@@ -279,7 +280,7 @@ def _keypoint_npz(
     return names, arrays
 
 
-def _read_detected(table: KeypointsTable, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
+def _read_detected(table: KeypointsTable, camera: Camera, skeleton: SkeletonModel) -> DetectedKeypoints:
     """Read keypoints from a detector's own file or folder, in its own layout; see `rtof_kin.vision`."""
     layout = table.layout
     if skeleton.name != "total_capture":
@@ -303,7 +304,7 @@ def _read_detected(table: KeypointsTable, camera: Camera, skeleton: SkeletonMode
     several = found.track.people > 1 and person is None
     doubtful = several or bool(np.any(found.track.ambiguous | found.track.lost))
     _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", table.path, found.summary)
-    return _on_video(found.keypoints, table.start_s)
+    return found
 
 
 def _on_video(keypoints: KeypointSequence, start: float) -> KeypointSequence:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, blocks_of
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError, reading
 from rtof_kin.core.files.arrays import write_npz
@@ -60,7 +60,7 @@ def _opened(
     if (log := maker_log(table, skeleton, calibration.sensors if calibration is not None else ())) is not None:
         with naming(path):
             imus = imus_of_log(log)
-        return imus.names, source.keep(imus)
+        return imus.names, source.keep(imus.times, (imus[rows] for rows in blocks_of(len(imus))))
     if is_csv:
         for field in OF_MAKERS:
             if table.has(field):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array, blocks_of
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError, reading
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
@@ -109,17 +109,18 @@ class Source:
         arrays = self._kept(chain([first], (arrange(path, columns)[1] for columns in blocks)))
         return names, Table(arrays, frozenset(arrays))
 
-    def keep(self, whole: Part) -> Stream[Part]:
-        """Return the stream of samples that could only be read as a whole."""
-        blocks = (whole.cut(rows).items() for rows in blocks_of(len(whole)))
-        kept = self._kept({name: array for name, array in own if isinstance(array, np.ndarray)} for own in blocks)
-        first = whole[:1]  # nothing here holds the whole
+    def keep(self, times: Array, blocks: Iterable[Part]) -> Stream[Part]:
+        """Return the stream of samples at times (T,), s, that can only be made in their order."""
+        parts = iter(blocks)
+        first = next(parts)
+        own = (part.cut(slice(None)).items() for part in chain([first], parts))
+        kept = self._kept({name: array for name, array in some if isinstance(array, np.ndarray)} for some in own)
 
         def part(rows: slice) -> Part:
             some: dict[str, Any] = {name: array[rows] for name, array in kept.items()}
             return replace(first, **some)  # type: ignore[type-var]
 
-        return Stream(whole.times, part)
+        return Stream(times, part)
 
     def checked(self, stream: Stream[Part]) -> Stream[Part]:
         """Return a stream all of whose samples are checked; errors count them from the start of the whole."""

@@ -47,6 +47,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from rtof_kin.body.kinematics import both_bones_sensed
 from rtof_kin.body.skeleton import Motion
+from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
@@ -66,11 +67,11 @@ def disagreement(solved: PoseSequence, start: PoseSequence, like: Confidence) ->
     """Return mean squares of differences over `WINDOW`; 0 where one is missing. `like`: one of the times and pairs."""
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)
-    world = np.broadcast_to(np.eye(3), (len(off), 1, 3, 3))
-    R = [np.concatenate([poses.R_world_bone, world], axis=1) for poses in (solved, start)]
+    world = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (len(off), 1, 4))
+    q = [np.concatenate([so3.known_to_quat_wxyz(poses.R_world_bone), world], axis=1) for poses in (solved, start)]
     parents, children = np.array([[names.index(name) for name in pair] for pair in like.pairs]).T
-    seen = [np.swapaxes(r[:, parents], -1, -2) @ r[:, children] for r in R]
-    turn = so3.known_log(np.swapaxes(seen[1], -1, -2) @ seen[0])
+    seen = [quat.multiply(quat.conjugate(one[:, parents]), one[:, children]) for one in q]
+    turn = quat.log(quat.multiply(quat.conjugate(seen[1]), seen[0]))
     parts, reach = zip(like.rows, (off, off - off[:, :1], turn), strict=True), round(WINDOW * solved.rate_hz)
     return like.changed(**{name: _mean_square(d, reach) for name, d in parts})
 

@@ -219,7 +219,8 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     (`measurements`).
     """
     known = {name: point for name in names if (point := _measurement(name)) is not None}
-    leg, turns = (_leg(skeleton), link_turns(skeleton)) if known else (1.0, np.eye(3)[None])
+    length, turns = skeleton.bone_lengths, link_turns(skeleton) if known else np.eye(3)[None]
+    leg = sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2 if known else 1.0
     points = []
     for name in names:
         if name not in known:
@@ -268,12 +269,6 @@ def measurements(keypoints: KeypointSequence, skeleton: SkeletonModel) -> Keypoi
 @cache
 def _shipped() -> SkeletonModel:
     return SkeletonModel.default()
-
-
-def _leg(skeleton: SkeletonModel) -> float:
-    """Length of thigh and shank, mean of the two sides, m."""
-    length = skeleton.bone_lengths
-    return float(sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2)
 
 
 def link_turns(skeleton: SkeletonModel) -> Array:

@@ -216,9 +216,8 @@ def _by_image(path: Path, entries: Sequence[Any], data: Mapping[str, Any]) -> De
 
 
 def _category_names(categories: Any) -> tuple[str, ...] | None:
-    if isinstance(categories, list) and len(categories) == 1 and isinstance(categories[0], dict):
-        names = categories[0].get("keypoints")
-        if isinstance(names, list) and all(isinstance(name, str) for name in names):
+    match categories:
+        case [{"keypoints": [*names]}] if all(isinstance(name, str) for name in names):
             return tuple(names)
     return None
 

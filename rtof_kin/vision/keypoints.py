@@ -7,7 +7,10 @@ print(found.summary)       # detected layout, which person was tracked, ambiguou
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +21,7 @@ from rtof_kin.core.array_types import Array, blocks_of
 from rtof_kin.core.checks import shared
 from rtof_kin.core.errors import InvalidInputError, reading
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence, blanked, detector_point
+from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.landmark_regression import (
@@ -36,11 +39,54 @@ MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that ma
 
 @dataclass(frozen=True)
 class DetectedKeypoints:
-    """Keypoints of one person with their provenance."""
+    """Keypoints of one person with their provenance; they are computed at their first use, or block by block."""
 
-    keypoints: KeypointSequence  #: The skeleton's landmarks in the image, then the detector's own points
+    detections: Detections  #: Points in px, in the layout's order
+    times: Array  #: (T,) s
+    camera: Camera
     recognition: Recognition  #: Layout of the detector
     track: PersonTrack  #: Index of the person in each frame
+    path: Path | None = None  #: The detector's file, if it is one, which errors name
+
+    @cached_property
+    def keypoints(self) -> KeypointSequence:
+        """The skeleton's landmarks in the image, then the detector's own points; errors of `blocks`."""
+        parts, names = self.blocks(), keypoint_names(self.recognition.layout)
+        uv, confidence = np.empty((len(self.times), len(names), 2)), np.empty((len(self.times), len(names)))
+        for frames, part in zip(blocks_of(len(self.times)), parts, strict=True):
+            uv[frames], confidence[frames] = part.uv_px, part.confidence
+        shared(uv, confidence)
+        return KeypointSequence(self.camera, self.times, uv, confidence, names)
+
+    def blocks(self) -> Iterator[KeypointSequence]:
+        """Yield the `keypoints` of frames that follow one another. `InvalidInputError`, after the last ones: the points
+        lie outside of the camera's image, or no landmark can be estimated from them.
+        """
+        regression, form, camera = LandmarkRegression.default(), self.recognition.layout, self.camera
+        names, seen, outside, reach = keypoint_names(form), 0, 0, np.zeros(2)
+        known, unseen = False, list[InvalidInputError]()
+        with nullcontext() if self.path is None else reading(self.path):
+            for frames in blocks_of(len(self.times)):
+                points = self.track.of(self.detections, frames)
+                shown = points[0][np.isfinite(points[0]).all(axis=-1)]
+                seen, reach = seen + len(shown), np.fmax(reach, shown.max(axis=0, initial=0.0))
+                outside += int(np.any((shown < 0) | (shown > [camera.width_px, camera.height_px]), axis=-1).sum())
+                try:
+                    uv, confidence = with_own_points(form, regression.apply(form.name, *points), *points)
+                except InvalidInputError as error:
+                    unseen.append(error)
+                    confidence = np.zeros((len(points[0]), len(names)))
+                    uv = np.full((*confidence.shape, 2), np.nan)
+                known |= bool(confidence.any())
+                yield KeypointSequence(camera, self.times[frames], uv, confidence, names)
+            if outside > MOST_OUTSIDE * seen:  # the camera belongs to another video
+                raise InvalidInputError(
+                    f"{100 * outside / seen:.0f} % of the points lie outside of the camera's image of "
+                    f"{camera.width_px} x {camera.height_px} px (they reach to {reach[0]:.0f}, {reach[1]:.0f}); give "
+                    "the camera that belongs to this video"
+                )
+            if unseen and not known:
+                raise unseen[0]
 
     @property
     def summary(self) -> str:
@@ -84,7 +130,7 @@ def read_detector_keypoints(
     found = read_detector_file(path, camera.width_px, camera.height_px, layout)
     with reading(path):
         times = _times(found, rate_hz) + start
-        return keypoints_from_detections(found, times, camera, layout, person, frame)
+        return keypoints_from_detections(found, times, camera, layout, person, frame, path)
 
 
 def keypoints_from_detections(
@@ -94,47 +140,23 @@ def keypoints_from_detections(
     layout: str | None = None,
     person: int | None = None,
     frame: int | None = None,
+    path: Path | None = None,
 ) -> DetectedKeypoints:
-    """Compute keypoints of one person from detections in memory at times (T,), s; see `read_detector_keypoints`.
-    `InvalidInputError`: unrecognised layout, no such person, or points outside the camera's image; `UnknownNameError`:
-    unknown `layout`.
+    """Return keypoints of one person of detections in memory at times (T,), s; see `read_detector_keypoints`.
+    `InvalidInputError`: unrecognised layout, or no such person; `UnknownNameError`: unknown `layout`.
     """
-    regression = LandmarkRegression.default()
     found = found.in_pixels(camera.width_px, camera.height_px)
-    recognition = recognise(found.uv_px, found.confidence, found.names, layout, regression)
+    recognition = recognise(found.uv_px, found.confidence, found.names, layout)
     if recognition.order != tuple(range(found.uv_px.shape[2])):
         found = found.of_points(recognition.order)
     track = track_person(found, times, person, frame, (camera.width_px, camera.height_px))
-    form, names = recognition.layout, keypoint_names(recognition.layout, regression)
-    uv, confidence = np.full((len(found), len(names), 2), np.nan), np.zeros((len(found), len(names)))
-    seen, outside, reach, unseen = 0, 0, np.zeros(2), list[InvalidInputError]()
-    for frames in blocks_of(len(found)):
-        points = track.of(found, frames)
-        shown = points[0][np.isfinite(points[0]).all(axis=-1)]
-        seen, reach = seen + len(shown), np.fmax(reach, shown.max(axis=0, initial=0.0))
-        outside += int(np.any((shown < 0) | (shown > [camera.width_px, camera.height_px]), axis=-1).sum())
-        try:
-            landmarks = regression.apply(form.name, *points)
-        except InvalidInputError as error:
-            unseen.append(error)
-        else:
-            uv[frames], confidence[frames] = blanked(*with_own_points(form, landmarks, *points))
-    if outside > MOST_OUTSIDE * seen:  # the camera belongs to another video
-        raise InvalidInputError(
-            f"{100 * outside / seen:.0f} % of the points lie outside of the camera's image of "
-            f"{camera.width_px} x {camera.height_px} px (they reach to {reach[0]:.0f}, {reach[1]:.0f}); give "
-            "the camera that belongs to this video"
-        )
-    if unseen and not confidence.any():
-        raise unseen[0]
-    shared(uv, confidence)
-    return DetectedKeypoints(KeypointSequence(camera, times, uv, confidence, names), recognition, track)
+    return DetectedKeypoints(found, times, camera, recognition, track, path)
 
 
-def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, ...]:
+def keypoint_names(form: Layout) -> tuple[str, ...]:
     """Return the names of the skeleton's landmarks that a layout gives, then of its own points."""
     own = () if form.name in OWN_LAYOUTS else tuple(detector_point(form.name, p) for p in form.points)
-    return regression.landmarks(form) + own
+    return LandmarkRegression.default().landmarks(form) + own
 
 
 def with_own_points(form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array) -> tuple[Array, Array]:

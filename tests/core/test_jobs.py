@@ -18,10 +18,11 @@ import pytest
 from protocol_orders import Order, calls, obey, orders, values
 from protocol_support import read_json
 
+from benchmarks.command_line import resident_memory
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes, RayCluster, open_runs, run_jobs
 from rtof_kin.core.jobs import processes as module
-from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, resident_memory, total_memory
+from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, total_memory
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
 

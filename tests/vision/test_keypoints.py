@@ -157,7 +157,7 @@ def test_landmarks_that_are_undetected_or_in_lost_frames_are_unobserved() -> Non
 def test_points_outside_of_the_image_are_refused() -> None:
     detections = Detections(3 * COCO[:, None], np.ones((50, 1, 17)))
     with pytest.raises(InvalidInputError, match="outside of the camera's image of 1920 x 1080"):
-        keypoints_from_detections(detections, MOTION.times, CAMERA)
+        keypoints_from_detections(detections, MOTION.times, CAMERA).keypoints  # noqa: B018
 
 
 def test_a_file_has_either_times_or_a_rate(tmp_path: Path) -> None:

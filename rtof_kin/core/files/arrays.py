@@ -70,6 +70,7 @@ def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
 LARGEST_BYTES = 4 * 2**30  #: Default limit of the total size of the arrays, bytes
 _LARGEST_CSV = 2**30
 _MOST_AXES = 32
+_CHUNK = 2**20  #: [bytes] read at once
 _WAITING_IN_MEMORY = 2**20  #: [bytes] of a `WaitingArray` without a file
 _CSV = "a CSV file; its first line names the columns"
 
@@ -85,7 +86,7 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | No
 def read_npz_as_saved(
     path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub", names: Collection[str] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays of an .npz file, all or the named ones, read-only, in their own types, by name; errors as
+    """Return arrays of an .npz file, all or the named ones, in their own types, by name; errors as
     `read_npz`, also for other kinds than those allowed, by NumPy's letters; U is text.
     """
     arrays: dict[str, NDArray[Any]] = {}
@@ -199,17 +200,20 @@ def _checked_header(
 def _read_data(
     path: Path, name: str, stream: IO[bytes], shape: tuple[int, ...], fortran: bool, dtype: np.dtype[Any]
 ) -> NDArray[Any]:
-    wanted = math.prod(shape) * dtype.itemsize
-    data = stream.read(wanted)
-    if len(data) != wanted:
-        raise FileFormatError(path, f"{name}: damaged, {len(data)} of {wanted} bytes are there")
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+    array, done = np.empty(shape, dtype, order="F" if fortran else "C"), 0
+    room = array.ravel(order="K").view(np.uint8) if array.nbytes else np.empty(0, np.uint8)
+    while done < len(room) and (data := stream.read(min(_CHUNK, len(room) - done))):
+        room[done : done + len(data)] = np.frombuffer(data, np.uint8)
+        done += len(data)
+    if done < len(room):
+        raise FileFormatError(path, f"{name}: damaged, {done} of {len(room)} bytes are there")
+    return array
 
 
 def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
     """Return numbers as float64 after checking their magnitude."""
     with np.errstate(invalid="ignore"):  # casting a signalling NaN
-        array: Array = saved.astype(np.float64)
+        array: Array = saved.astype(np.float64, copy=False)
     if not measurable(array):
         raise FileFormatError(path, f"{name}: contains a number beyond {LARGEST_NUMBER:g}")
     return array

@@ -40,11 +40,6 @@ def available_memory(proc: Path = _PROC, groups: Path = _GROUPS) -> int | None:
     return min(known, default=None)
 
 
-def resident_memory(process: int) -> int:
-    """Return the memory that a process has now; 0 where it is not known."""
-    return _field(_PROC / str(process) / "status", "VmRSS") or 0
-
-
 def reset_peak() -> None:
     """Forget this process's peak so far; without effect where the system cannot."""
     with suppress(OSError):

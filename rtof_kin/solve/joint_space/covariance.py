@@ -127,14 +127,14 @@ def unseen_times(data: Observations) -> Array:
     """Return the time (T, A), s, to the nearest frame in which a landmark or a sensor is seen that the joint moves; inf
     where there is none in the recording. The root counts as seen.
     """
-    space, joints = data.space, data.skeleton.names
+    space, joints, parents = data.space, data.skeleton.names, data.skeleton.parents
     seen = np.concatenate([data.confidence > 0, data.rows["w_sensor"] > 0], axis=1)
-    on = [*data.points.on, *((joints.index(name), False) for name in data.sensors)]
+    lines = [kinematics.line_to_root(parents, j)[at_joint:] for j, at_joint in data.points.on]
+    lines += [kinematics.line_to_root(parents, joints.index(name)) for name in data.sensors]
     out = np.zeros((len(seen), len(space.joints)))
     frames = np.arange(len(seen))
     for a, joint in enumerate(space.joints[1:], start=1):
-        moved = [_descends(space, j, joint) and not (at_joint and j == joint) for j, at_joint in on]
-        known = np.flatnonzero(seen[:, moved].any(axis=1))
+        known = np.flatnonzero(seen[:, [joint in line for line in lines]].any(axis=1))
         before, after = np.searchsorted(known, frames, "right"), np.searchsorted(known, frames) + 1
         ends = np.concatenate([[-np.inf], known, [np.inf]])
         out[:, a] = np.minimum(frames - ends[before], ends[after] - frames)
@@ -158,9 +158,3 @@ def unseen_covariance(data: Observations, times: Array) -> Array:
             at = 6 + columns
             out[np.ix_(frames, at, at)] = scale[:, :, None] * own * scale[:, None, :]
     return out
-
-
-def _descends(space: StateSpace, joint: int, ancestor: int) -> bool:
-    while joint > ancestor:
-        joint = space.skeleton.parents[joint]
-    return joint == ancestor
