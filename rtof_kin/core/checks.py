@@ -21,9 +21,11 @@ Shape = Sequence[int | str]  #: Lengths of the axes; a letter matches any length
 
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
     """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``, or the array itself
-    where nobody can write to it; `ShapeError` where the value is not numeric or its shape differs.
+    where nobody can write to it and it is whole; `ShapeError` where the value is not numeric or its shape differs.
     """
-    shared = type(value) is np.ndarray and value.base is None and not value.flags.writeable
+    shared = isinstance(value, np.ndarray) and not value.flags.writeable
+    if isinstance(value, np.ndarray) and (whole := value.base) is not None:
+        shared &= isinstance(whole, np.ndarray) and not whole.flags.writeable and whole.size == value.size
     try:
         array = np.asarray(value, dtype=dtype) if shared else np.array(value, dtype=dtype)
     except (TypeError, ValueError) as error:

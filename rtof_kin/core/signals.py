@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.core.errors import InvalidInputError
 
 
@@ -56,13 +56,14 @@ def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float 
     out = np.full((len(at), *R.shape[1:]), np.nan)
     for ok, sensors in _alike(np.asarray(np.isfinite(R).all(axis=(-2, -1)))):
         t, M = times[ok], R[ok][:, sensors]
-        inside = (at >= t[0]) & (at <= t[-1]) & ~_in_gap(t, at, max_gap)
-        right = np.clip(np.searchsorted(t, at[inside]), min(1, len(t) - 1), len(t) - 1)
-        left = np.maximum(right - 1, 0)
-        span = np.where(right > left, t[right] - t[left], 1.0)
-        share = np.clip((at[inside] - t[left]) / span, 0, 1)
-        step = so3.log(np.swapaxes(M[left], -1, -2) @ M[right])
-        out[np.ix_(inside, sensors)] = M[left] @ so3.exp(share[:, None, None] * step)
+        inside = np.flatnonzero((at >= t[0]) & (at <= t[-1]) & ~_in_gap(t, at, max_gap))
+        for own in (inside[rows] for rows in blocks_of(len(inside))):
+            right = np.clip(np.searchsorted(t, at[own]), min(1, len(t) - 1), len(t) - 1)
+            left = np.maximum(right - 1, 0)
+            span = np.where(right > left, t[right] - t[left], 1.0)
+            share = np.clip((at[own] - t[left]) / span, 0, 1)
+            step = so3.log(np.swapaxes(M[left], -1, -2) @ M[right])
+            out[own[:, None], sensors] = M[left] @ so3.exp(share[:, None, None] * step)
     return out
 
 

@@ -214,13 +214,8 @@ class SensorStream(OverTime):
         set_(self, "times", checked_times(f"{where} times", self.times))
         set_(self, "notes", tuple(self.notes))
         T = len(self.times)
-        shapes: dict[str, tuple[int, ...]] = {
-            "f_sensor": (T, 3),
-            "R_inertial_sensor": (T, 3, 3),
-            "w_sensor": (T, 3),
-            "m_sensor": (T, 3),
-            "quaternion_norm": (T,),
-        }
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(self.rows, (T, 3))
+        shapes |= {"R_inertial_sensor": (T, 3, 3), "quaternion_norm": (T,)}
         freeze(self, where, **{n: shape for n, shape in shapes.items() if getattr(self, n) is not None})
 
     @property
@@ -247,8 +242,7 @@ class SensorStream(OverTime):
                 f"sensor {self.name} has no {missing}; orientation comes from raw gyroscope and "
                 "accelerometer by rtof_kin.inertial.orientation"
             )
-        R, f = self.R_inertial_sensor[:, None], self.f_sensor[:, None]
-        return ImuSequence(self.times, R, f, (self.name,))
+        return ImuSequence(self.times, self.R_inertial_sensor[:, None], self.f_sensor[:, None], (self.name,))
 
 
 @dataclass(frozen=True)

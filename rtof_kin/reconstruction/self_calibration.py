@@ -25,6 +25,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
 from rtof_kin.calibration.shared_fragments import Slice
 from rtof_kin.calibration.straight_legs import NEVER_STILL
+from rtof_kin.core.array_types import blocks_of
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError
@@ -195,14 +196,14 @@ def find_camera(job: Job, mode: Mode) -> CameraEstimate:
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
     """Return the part of a long video in which the person's size changes most; of a fast one, fewer frames."""
     rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
-    keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
-    times = keypoints.times
+    step = max(1, int(rate_hz / _ENOUGH_HZ))
+    times, v = keypoints.times[::step], keypoints.uv_px[::step, :, 1]
     if times[-1] - times[0] <= _MOST_SECONDS:
-        return keypoints
-    enough = keypoints.seen.sum(axis=1) > len(keypoints.names) / 2
-    v = np.where(enough[:, None], keypoints.uv_px[..., 1], np.nan)
+        return keypoints[::step]
     tall = np.full(len(times), np.nan)
-    tall[enough] = np.log(np.nanmax(v[enough], axis=1) - np.nanmin(v[enough], axis=1) + 1.0)
+    for rows in blocks_of(len(times)):
+        enough = np.flatnonzero(np.isfinite(v[rows]).sum(axis=1) > v.shape[1] / 2) + rows.start
+        tall[enough] = np.log(np.nanmax(v[enough], axis=1) - np.nanmin(v[enough], axis=1) + 1.0)
     starts = np.arange(times[0], times[-1] - _MOST_SECONDS + _STEP, _STEP)
     parts = [slice(*np.searchsorted(times, [t, t + _MOST_SECONDS])) for t in starts]
 
@@ -210,7 +211,8 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
         known = tall[part][np.isfinite(tall[part])]
         return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
 
-    return keypoints[max(parts, key=spread)]
+    part = max(parts, key=spread)
+    return keypoints[part.start * step : part.stop * step : step]
 
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"

@@ -60,6 +60,13 @@ def test_unknown_name_is_reported_with_valid_names_and_the_nearest_one() -> None
 def test_shared_arrays_are_kept_without_a_copy() -> None:
     (mine,) = shared(np.zeros((4, 3)))
     assert readonly("x", mine, ("T", 3)) is mine
+    assert np.shares_memory(readonly("x", mine[:, None], (4, 1, 3)), mine)
+    part = readonly("x", mine[:2], (2, 3))
+    assert not np.shares_memory(part, mine)  # it would keep the whole
+    assert not np.shares_memory(readonly("x", part.view(), (2, 3)), mine)
+    view = np.zeros((4, 3))[:, :]
+    view.setflags(write=False)
+    assert not np.shares_memory(readonly("x", view, ("T", 3)), view)  # its whole can be written to
     with pytest.raises(ValueError, match="read-only"):
         mine[0] = 1.0
 
