@@ -24,6 +24,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import freeze
 from rtof_kin.core.errors import ViewError
+from rtof_kin.core.jobs.engine import side_by_side
 from rtof_kin.data.camera import Camera, CameraUncertainty
 
 FOCAL, PITCH, ROLL, HEIGHT, DISTORTION, SIZE, RIGHT, DOWN, HEADING = range(9)
@@ -305,18 +306,19 @@ class _Search:
         Where the floor sinks away from the feet, lifted bodies lean: pitch is varied together with the height, by
         the derivatives known before.
         """
-        J, rise = np.zeros((len(self.now.value), len(self.moving))), self.rise
-        for k, i in enumerate(self.moving):
-            with_height = rise if i == PITCH else 0.0
+        rise = self.rise
+
+        def slope(i: int) -> Array:
             direction = 1.0 * (np.arange(len(self.y)) == i)
-            direction[HEIGHT] += with_height
+            direction[HEIGHT] += rise * (i == PITCH)
             for step in (_STEP * self.prior[i], -_STEP * self.prior[i]):  # to that side on which the person is in view
                 if (other := self.at(self.y + step * direction)) is not None:
-                    J[:, k] = np.nan_to_num((other.value - self.now.value) / step)
-                    break
-            if with_height:
-                J[:, k] -= with_height * J[:, 0]
-        self.J = J
+                    return np.asarray(np.nan_to_num((other.value - self.now.value) / step))
+            return np.zeros(len(self.now.value))
+
+        self.J = np.stack(list(side_by_side(slope, self.moving)), axis=1)
+        if rise:
+            self.J[:, self.moving.index(PITCH)] -= rise * self.J[:, 0]
 
     def try_pitches(self) -> None:
         """Move to the likeliest of some pitches, each at the height at which the feet stand on the floor."""
@@ -324,14 +326,13 @@ class _Search:
         if not rise or not self.now.known[0]:
             return
         slope = self.J[0, self.moving.index(HEIGHT)]
-        found = [(self._unlikely(self.now, self.y), self.y, self.now)]
-        for share in _PITCHES:
-            y = np.zeros_like(self.y)
-            y[PITCH] = share * prior[PITCH]
-            y[HEIGHT] = rise * y[PITCH] - self.now.value[0] / slope
-            if abs(y[HEIGHT]) < _FURTHEST * prior[HEIGHT] and (other := self.at(y)) is not None:
-                found.append((self._unlikely(other, y), y, other))
-        _, self.y, self.now = min(found, key=lambda one: one[0])
+        ys = np.zeros((len(_PITCHES), len(self.y)))
+        ys[:, PITCH] = np.array(_PITCHES) * prior[PITCH]
+        ys[:, HEIGHT] = rise * ys[:, PITCH] - self.now.value[0] / slope
+        ys = ys[np.abs(ys[:, HEIGHT]) < _FURTHEST * prior[HEIGHT]]
+        found = [(self.y, self.now), *zip(ys, side_by_side(self.at, ys), strict=True)]
+        seen = [(self._unlikely(other, y), y, other) for y, other in found if other is not None]
+        _, self.y, self.now = min(seen, key=lambda one: one[0])
 
     def _unlikely(self, now: Evidence, y: Array) -> float:
         r, weight = now.weighted

@@ -122,9 +122,7 @@ def predict(
     """
     if draws < 1:
         raise InvalidInputError(f"plan: {draws} draws; at least one simulated recording is needed")
-    jobs = {
-        f"{name}-{draw}": Run(setup, seed + draw, lifter) for name, setup in setups.items() for draw in range(draws)
-    }
+    jobs = {f"{name}-{i}": Run(setup, seed + i, lifter) for name, setup in setups.items() for i in range(draws)}
     out: dict[str, Prediction | str] = {}
     with TemporaryDirectory() as folder:
         outcome = run_jobs(measure, jobs, Path(folder), workers, progress)
@@ -204,9 +202,7 @@ def calibration_time(
         raise InvalidInputError("plan: without sensors there is nothing to calibrate")
     longest = float(min(setup.poses.times[-1] - setup.poses.times[0], SECONDS[-1]))
     lengths = [*(seconds for seconds in SECONDS if seconds < longest), longest]
-    jobs = {
-        f"{seconds:g}-{draw}": Run(setup, seed + draw, lifter, seconds) for seconds in lengths for draw in range(draws)
-    }
+    jobs = {f"{s:g}-{i}": Run(setup, seed + i, lifter, s) for s in lengths for i in range(draws)}
     rows: list[dict[str, Array]] = []
     with TemporaryDirectory() as folder:
         outcome = run_jobs(_measure, jobs, Path(folder), workers, progress)

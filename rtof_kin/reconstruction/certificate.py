@@ -22,7 +22,6 @@ The same for the image: points at the ends of the limbs are left out, and camera
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -35,7 +34,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.jobs.engine import usable_cores
+from rtof_kin.core.jobs.engine import side_by_side
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
@@ -255,18 +254,16 @@ def certify(
         views = len(job.recording.views)
         work += [_Without(job, mode, rejected, calibration, joints=ends) for ends in _ENDS]
         work += [_Without(job, mode, rejected, calibration, views=True)] if views else []
-    found, points, done = list[LeftOut](), list[LeftOutPoints](), 0
+    found, points = list[LeftOut](), list[LeftOutPoints]()
     job.progress("certificate", 0, len(work))
-    with ThreadPoolExecutor(usable_cores()) as pool:
-        for one, predicted in zip(work, pool.map(_Without.predicted, work), strict=True):
-            done += 1
-            job.progress("certificate", done, len(work))
-            if predicted is None:
-                untested += [(one.joint, "without its sensor nothing could be reconstructed")] if one.sensor else []
-            elif one.sensor:
-                found.append(_compared(one, predicted, measured.select((one.joint,))))
-            else:
-                points += one.compared_points(predicted)
+    for done, (one, predicted) in enumerate(zip(work, side_by_side(_Without.predicted, work), strict=True), start=1):
+        job.progress("certificate", done, len(work))
+        if predicted is None:
+            untested += [(one.joint, "without its sensor nothing could be reconstructed")] if one.sensor else []
+        elif one.sensor:
+            found.append(_compared(one, predicted, measured.select((one.joint,))))
+        else:
+            points += one.compared_points(predicted)
     reason = "" if found else f"no sensor could be left out: {untested[0][0]}, {untested[0][1]}"
     return Certificate(start, stop, tuple(found), tuple(points), tuple(untested), reason)
 

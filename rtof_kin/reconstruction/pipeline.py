@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
@@ -15,6 +16,7 @@ from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import RESULT_WARNINGS
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.jobs.engine import side_by_side
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
@@ -134,9 +136,9 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     others = list[PoseSequence]()
     if solution is not None and solution.confidence is not None:
         others += clocks.apart(poses) if job.sensed(mode) else ()
-        for other in camera.deviations() if camera is not None else ():
-            one = with_camera(recording, other)
-            others.append(job.solved_again(one, mode, prepared.rejected, calibration)[1])
+        again = partial(job.solved_again, mode=mode, rejected=prepared.rejected, calibration=calibration)
+        deviations = camera.deviations() if camera is not None else []
+        others += (found for _, found in side_by_side(again, [with_camera(recording, one) for one in deviations]))
     left_out = (other.warning for other in prepared.others if other.doubt)
     warnings = (*setup.warnings, *left_out, *quality_warnings(prepared, solution, settings))
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)

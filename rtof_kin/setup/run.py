@@ -19,7 +19,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExist
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
-from rtof_kin.core.jobs.engine import usable_cores
+from rtof_kin.core.jobs.engine import cores_limited, usable_cores
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.gait_events import read_event_corrections
 from rtof_kin.reconstruction.parts import reconstruct_in_parts, workers_for
@@ -108,7 +108,8 @@ def run(
     setup = setup if height is None else replace(setup, height=height)
     setup, own, person = replace(setup, lifter=task.lifter()), folder / RECORDING, task.person()
     how: dict[str, Any] = {"detect": detect, "overwrite": overwrite, "kept": kept, "progress": progress}
-    findings = make_recordings(files, folder, setup, task, second, **how)
+    with cores_limited(task.threads):
+        findings = make_recordings(files, folder, setup, task, second, **how)
 
     def step(name: str, make: Callable[[Path, bool, Mapping[str, str]], object], *inputs: object) -> None:
         """Make a folder, unless it is there and its inputs are the same."""
@@ -196,7 +197,8 @@ def reconstruct_folder(
         source: RecordingSource = (
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
-        workers = stack.enter_context(workers_for(source, task.threads or usable_cores()))
+        stack.enter_context(cores_limited(task.threads))
+        workers = stack.enter_context(workers_for(source, usable_cores()))
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
         source = task.with_lifts(source)
         if task.events is not None:
@@ -205,12 +207,10 @@ def reconstruct_folder(
         lifter = task.lifter()
         person = Person.of(task.person(), source).seen(source, mode, lifter, settings)
         informed = person.informed(source)
+        names = ("frames", "space", "guards", "lift_with_sensors", "certificate")
+        options = {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
         record = {
-            "options": {"mode": mode, "calibrate": task.calibrate, "paper": settings.fragment is not None}
-            | {
-                name: getattr(settings, name)
-                for name in ("frames", "space", "guards", "lift_with_sensors", "certificate")
-            },
+            "options": options | {name: getattr(settings, name) for name in names},
             "recording_sha256": digest,
             "model_sha256": file_digest(lifter_path(task.model)),
             "calibration_sha256": None if known is None else file_digest(known),

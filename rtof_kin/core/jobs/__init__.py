@@ -4,18 +4,5 @@ from rtof_kin.core.jobs.engine import Ended, Engine, InThisProcess, RayCluster
 from rtof_kin.core.jobs.processes import Processes, Workers, in_order, outcome
 from rtof_kin.core.jobs.results import JobResult, Outcome, Progress, open_runs, run_jobs
 
-__all__ = [
-    "Ended",
-    "Engine",
-    "InThisProcess",
-    "JobResult",
-    "Outcome",
-    "Processes",
-    "Progress",
-    "RayCluster",
-    "Workers",
-    "in_order",
-    "open_runs",
-    "outcome",
-    "run_jobs",
-]
+__all__ = ["Ended", "Engine", "InThisProcess", "JobResult", "Outcome", "Processes", "Progress", "RayCluster"]
+__all__ += ["Workers", "in_order", "open_runs", "outcome", "run_jobs"]

@@ -12,7 +12,9 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final, Protocol
@@ -63,13 +65,32 @@ def ended(function: Callable[[Any], Any], key: str, argument: Any) -> Ended:
         return Ended(key, lost=f"{type(error).__name__}: {error}")
 
 
+_told: Final = ContextVar[int | None]("cores that may be used", default=None)
+
+
+@contextmanager
+def cores_limited(cores: int | None) -> Iterator[None]:
+    """Let `usable_cores` return this number inside, unless it is None."""
+    before = _told.set(cores)
+    try:
+        yield
+    finally:
+        _told.reset(before)
+
+
 def usable_cores() -> int:
     """Return the number of cores that this process may use; one in a process that is itself a worker."""
     if multiprocessing.parent_process() is not None:
         return 1
-    if hasattr(os, "sched_getaffinity"):
+    if (told := _told.get()) is None and hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return told or os.cpu_count() or 1
+
+
+def side_by_side(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    """Yield a function's results in order, computed in a thread for each of the usable cores; it raises its errors."""
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        yield from pool.map(function, items)
 
 
 _AHEAD: Final = 2  #: Jobs that are handed to the cluster, for each of its cores
