@@ -86,8 +86,8 @@ class ReconstructionTask:
     """Foot strikes and foot offs on the recording's clock, of a .c3d or a table of Visual3D (.txt, .tsv), that replace
     those that are found."""
     threads: int | None = field(default=None, compare=False, repr=False)
-    """Processor cores that are used: parts of a recording of more than two minutes are solved side by side; default:
-    all that this process may use."""
+    """Processor cores that are used: parts of a recording of more than two minutes are solved side by side, of all
+    what its checks and an uncalibrated camera need; default: all that this process may use."""
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:

@@ -22,6 +22,7 @@ from rtof_kin.calibration.camera_estimate import (
     prior_sigma,
 )
 from rtof_kin.core.errors import ViewError
+from rtof_kin.core.jobs.engine import cores_limited
 from rtof_kin.data.camera import Camera, CameraUncertainty
 
 Array = NDArray[np.float64]
@@ -62,6 +63,15 @@ def test_planted_errors_are_recovered_and_the_rest_is_stated() -> None:
     assert (found.sigma[:4] < 0.1 * prior_sigma(LEVEL)[:4]).all()
     assert found.sigma[4] == UNSURE.k1  # nothing was asked about it
     assert found.found.uncertainty.focal == found.sigma[FOCAL]
+
+
+def test_the_estimate_does_not_depend_on_the_number_of_cores() -> None:
+    found = []
+    for cores in (1, 3):
+        with cores_limited(cores):
+            found.append(estimate_camera(LEVEL, of_points))
+    np.testing.assert_array_equal(found[0].value, found[1].value)
+    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
 
 
 def test_the_covariance_is_that_of_linear_least_squares() -> None:

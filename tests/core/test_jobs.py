@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from benchmarks.command_line import resident_memory
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes, RayCluster, open_runs, run_jobs
 from rtof_kin.core.jobs import processes as module
+from rtof_kin.core.jobs.engine import cores_limited, side_by_side, usable_cores
 from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, total_memory
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
@@ -364,6 +366,26 @@ def test_memory_of_this_process_is_measured() -> None:
     assert 150_000_000 < after - before < 300_000_000
     assert 0 < resident_memory(os.getpid()) <= total
     assert resident_memory(2**22 + 1) == 0
+
+
+# --- threads ---------------------------------------------------------------------------------------
+
+
+def test_results_of_threads_are_in_order_and_as_many_run_as_cores_may_be_used() -> None:
+    both = threading.Barrier(2, timeout=10)
+    with cores_limited(2):
+        assert usable_cores() == 2
+        assert list(side_by_side(lambda n: (both.wait() >= 0, n), range(4))) == [(True, n) for n in range(4)]
+        with cores_limited(1), cores_limited(None):
+            assert usable_cores() == 1
+            assert len({*side_by_side(lambda _: threading.get_ident(), range(8))}) == 1
+        assert usable_cores() == 2
+    assert usable_cores() == len(os.sched_getaffinity(0))
+
+
+def test_an_error_in_a_thread_is_raised() -> None:
+    with cores_limited(2), pytest.raises(ZeroDivisionError):
+        list(side_by_side(lambda n: 1 / n, [1, 0, 2]))
 
 
 # --- Ray -----------------------------------------------------------------------------------------

@@ -71,7 +71,7 @@ _told: Final = ContextVar[int | None]("cores that may be used", default=None)
 @contextmanager
 def cores_limited(cores: int | None) -> Iterator[None]:
     """Let `usable_cores` return this number inside, unless it is None."""
-    before = _told.set(cores)
+    before = _told.set(cores or _told.get())
     try:
         yield
     finally:
