@@ -114,7 +114,8 @@ def table(rows: list[tuple[str, dict[str, Any]]]) -> str:
     for name, row in rows:
         cells = [wall if stage == "parts" else cpu for stage, (cpu, wall) in row["stages"].items()]
         cells = [np.nan] * len(cells) if "`run`, 2" in name else cells
-        lines.append(" | ".join([f"| {name}", *(f"{x:.2f}" for x in (row["wall_s"], row["cpu_s"], *cells))]) + " |")
+        shown = ("" if np.isnan(x) else f"{x:.2f}" for x in (row["wall_s"], row["cpu_s"], *cells))
+        lines.append(" | ".join([f"| {name}", *shown]) + " |")
     return "\n".join(lines)
 
 

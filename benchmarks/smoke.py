@@ -82,7 +82,7 @@ UNITS = {
         "solve": 43.0,
         "covariances": 21.0,
         "lift": 35.0,
-        "command": 780.0,
+        "command": 640.0,
     },
 }
 """Kind of processor -> what each takes there, in matrix products of 512 x 512 numbers."""
