@@ -68,7 +68,7 @@ def inspect(
     declared = dict(map(_declaration, declare or []))
     failed = False
     for file in files:
-        found, corrected = _with_places(examine(file, **declared))
+        found, corrected = _with_places(examine(file, **declared), drawn=plot is not None)
         _print(found, every)
         if output is not None:
             _fix(found, corrected, output)
@@ -88,7 +88,7 @@ def _declaration(text: str) -> tuple[str, Any]:
         raise InvalidInputError(f"rate_hz: {value!r} is not a number of samples per second") from error
 
 
-def _with_places(found: Any) -> tuple[Any, Any]:
+def _with_places(found: Any, drawn: bool) -> tuple[Any, Any]:
     """Add the check of where a recording's sensors are; with the corrected calibration, if any is wrong."""
     from rtof_kin.calibration.assignment import NAME
     from rtof_kin.core.checks import Check
@@ -97,6 +97,7 @@ def _with_places(found: Any) -> tuple[Any, Any]:
 
     if found.title != "recording" or found.log is None:
         return found, None
+    found = found if drawn else replace(found, log=None)  # an hour of it is large, and so is what is read now
     with RecordingReader.open(found.path) as reader:
         if reader.facts.calibration is None:
             return found, None
