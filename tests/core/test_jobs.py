@@ -383,6 +383,11 @@ def test_results_of_threads_are_in_order_and_as_many_run_as_cores_may_be_used() 
     assert usable_cores() == len(os.sched_getaffinity(0))
 
 
+def test_a_worker_uses_one_core_unless_it_is_told_more() -> None:
+    ended = Processes(1).run(engine_jobs.cores, [("told", 3), ("not told", None)])
+    assert {one.key: one.answer for one in ended} == {"told": 3, "not told": 1}
+
+
 def test_an_error_in_a_thread_is_raised() -> None:
     with cores_limited(2), pytest.raises(ZeroDivisionError):
         list(side_by_side(lambda n: 1 / n, [1, 0, 2]))

@@ -7,6 +7,8 @@ import signal
 import time
 from pathlib import Path
 
+from rtof_kin.core.jobs.engine import cores_limited, usable_cores
+
 
 def square(number: int) -> int:
     return number * number
@@ -15,6 +17,12 @@ def square(number: int) -> int:
 def whereabouts(_: int) -> tuple[int, str | None]:
     """Process and its number of threads."""
     return os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
+def cores(told: int | None) -> int:
+    """Cores that may be used in a worker that is told some."""
+    with cores_limited(told):
+        return usable_cores()
 
 
 def die(tries: tuple[Path, int]) -> int:

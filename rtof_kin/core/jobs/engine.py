@@ -79,12 +79,13 @@ def cores_limited(cores: int | None) -> Iterator[None]:
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use; one in a process that is itself a worker."""
-    if multiprocessing.parent_process() is not None:
-        return 1
-    if (told := _told.get()) is None and hasattr(os, "sched_getaffinity"):
+    """Return the number of cores that this process may use; one in a process that is itself a worker and not told."""
+    told, worker = _told.get(), multiprocessing.parent_process() is not None
+    if told or worker:
+        return told or 1
+    if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return told or os.cpu_count() or 1
+    return os.cpu_count() or 1
 
 
 def side_by_side(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
