@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.progress import track
+
+from rtof_kin.core.jobs import memory
 
 RESULTS = Path(__file__).parent / "results"
 Job, Found = TypeVar("Job"), TypeVar("Found")
@@ -53,7 +53,4 @@ def in_parallel(function: Callable[[Job], Found], jobs: Iterable[Job], workers: 
 
 def resident_memory(process: int) -> int:
     """The memory that a process has now, bytes; 0 where it is not known."""
-    with suppress(OSError):
-        found = re.search(r"^VmRSS:\s*(\d+) kB", Path(f"/proc/{process}/status").read_text("utf-8"), re.MULTILINE)
-        return 1024 * int(found.group(1)) if found else 0
-    return 0
+    return memory._field(Path(f"/proc/{process}/status"), "VmRSS") or 0

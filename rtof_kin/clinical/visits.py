@@ -326,8 +326,8 @@ def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[M
     if by == "cycle" or (by is None and all(walking)):
         if absent := [v.name for v, own in zip(visits, walking, strict=True) if not own]:
             raise InvalidInputError(f"follow: no gait in {', '.join(absent)}; measure by repetition or range (--by)")
-        idle = [(visit.name, one) for visit in visits for one in visit.trials if _not_gait(one)]
-        out = {f"{name}, {one.name}": f"left out, not gait: {_not_gait(one)}" for name, one in idle}
+        left = [(visit.name, one) for visit in visits for one in visit.trials if _not_gait(one)]
+        out = {f"{name}, {one.name}": f"left out, not gait: {_not_gait(one)}" for name, one in left}
         return "cycle", "", "" if by else "all visits are walking", out
     if kind:
         indices_of("kind of repetitions", [kind], KINDS)

@@ -301,8 +301,7 @@ def _read_detected(table: KeypointsTable, camera: Camera, skeleton: SkeletonMode
         person=person,
         frame=table.frame,
     )
-    several = found.track.people > 1 and person is None
-    doubtful = several or bool(np.any(found.track.ambiguous | found.track.lost))
+    doubtful = (found.track.people > 1 and person is None) or np.any(found.track.ambiguous | found.track.lost)
     _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", table.path, found.summary)
     return found
 

@@ -219,8 +219,10 @@ def image_points(skeleton: SkeletonModel, names: Sequence[str]) -> ImagePoints:
     (`measurements`).
     """
     known = {name: point for name in names if (point := _measurement(name)) is not None}
-    length, turns = skeleton.bone_lengths, link_turns(skeleton) if known else np.eye(3)[None]
-    leg = sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2 if known else 1.0
+    leg, turns = 1.0, np.eye(3)[None]
+    if known:
+        length, turns = skeleton.bone_lengths, link_turns(skeleton)
+        leg = sum(length[f"{side}{joint}"] for side in ("Left", "Right") for joint in ("Leg", "Foot")) / 2
     points = []
     for name in names:
         if name not in known:
