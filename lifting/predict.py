@@ -29,7 +29,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 
 MIN_JOINTS = 6  #: Fewest different joints seen in a window that can be lifted
-CHUNK = 32  #: Windows lifted at once: fewer cost more calls, more leave the cache
+CHUNK = 16  #: Windows lifted at once: fewer cost more calls, more leave the cache
 
 
 @dataclass(frozen=True)

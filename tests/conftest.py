@@ -14,6 +14,8 @@ import pytest
 from hypothesis import settings
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.core.environment import keep_freed_memory
+from rtof_kin.core.jobs.engine import cores_limited
 from rtof_kin.core.numerics import banded, c_compiler
 from rtof_kin.core.resources import cache_folder
 from rtof_kin.data.camera import Camera
@@ -41,6 +43,10 @@ settings.load_profile("same")
 def pytest_configure(config: pytest.Config) -> None:
     """All processes of the session share one cache of compiled code, empty at its start."""
     os.environ.setdefault(COMPILE, "never")
+    keep_freed_memory()
+    one_core = cores_limited(1)  # the other one has tests of its own
+    one_core.__enter__()
+    config.add_cleanup(lambda: one_core.__exit__(None, None, None))
     gc.disable()  # modules and items of a collection are not garbage; a third of its time
     config.option.loadscopereorder = False  # else files of few tests, some of which are long, come last
     if not hasattr(config, "workerinput") and CACHE not in os.environ:

@@ -21,6 +21,7 @@ from rtof_kin.app.texts import TEXTS
 from rtof_kin.core.environment import without_warnings
 from rtof_kin.core.errors import RtofError, UndecidedError
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs import work_shared
 from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.core.jobs.processes import end_with_parent
 from rtof_kin.reporting.page import PAGE, review
@@ -206,12 +207,11 @@ def _reconstruct(place: str, take: Take, sender: Connection, cores: int) -> None
         learns = take.learn and not take.look
         task = ReconstructionTask(calibrate=True, subject=subject, update_subject=learns, threads=cores)
         how: dict[str, Any] = {"overwrite": True, "progress": progress}
-        with without_warnings("rtof_kin"):
+        with without_warnings("rtof_kin"), work_shared(cores):
             if take.look:
                 found = make_recordings(files, folder, setup, task, second, **how)
             else:
-                how["learned"] = learned.append
-                found = run(files, folder, setup, task=task, second=second, **how).findings
+                found = run(files, folder, setup, task=task, second=second, learned=learned.append, **how).findings
         if not take.look:
             with suppress(RtofError):  # it is made again when it is asked for
                 write_review(folder)

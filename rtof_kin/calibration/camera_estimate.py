@@ -24,7 +24,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import freeze
 from rtof_kin.core.errors import ViewError
-from rtof_kin.core.jobs.engine import side_by_side
+from rtof_kin.core.jobs import side_by_side
 from rtof_kin.data.camera import Camera, CameraUncertainty
 
 FOCAL, PITCH, ROLL, HEIGHT, DISTORTION, SIZE, RIGHT, DOWN, HEADING = range(9)
@@ -307,18 +307,18 @@ class _Search:
         the derivatives known before.
         """
         rise = self.rise
-
-        def slope(i: int) -> Array:
-            direction = 1.0 * (np.arange(len(self.y)) == i)
-            direction[HEIGHT] += rise * (i == PITCH)
-            for step in (_STEP * self.prior[i], -_STEP * self.prior[i]):  # to that side on which the person is in view
-                if (other := self.at(self.y + step * direction)) is not None:
-                    return np.asarray(np.nan_to_num((other.value - self.now.value) / step))
-            return np.zeros(len(self.now.value))
-
-        self.J = np.stack(list(side_by_side(slope, self.moving)), axis=1)
+        self.J = np.stack(list(side_by_side(self.slope, self.moving)), axis=1)
         if rise:
             self.J[:, self.moving.index(PITCH)] -= rise * self.J[:, 0]
+
+    def slope(self, i: int) -> Array:
+        """Return derivatives (n,) by an unknown, by a step to that side on which the person is in view."""
+        direction = 1.0 * (np.arange(len(self.y)) == i)
+        direction[HEIGHT] += self.rise * (i == PITCH)
+        for step in (_STEP * self.prior[i], -_STEP * self.prior[i]):
+            if (other := self.at(self.y + step * direction)) is not None:
+                return np.asarray(np.nan_to_num((other.value - self.now.value) / step))
+        return np.zeros(len(self.now.value))
 
     def try_pitches(self) -> None:
         """Move to the likeliest of some pitches, each at the height at which the feet stand on the floor."""

@@ -83,9 +83,10 @@ def dispatch(arguments: list[str]) -> int:
 
     _check_name(arguments)
     if arguments and arguments[0] in LIMITED:
-        from rtof_kin.core.environment import limit_threads
+        from rtof_kin.core.environment import keep_freed_memory, limit_threads
 
         limit_threads()
+        keep_freed_memory()
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:
         return int(app(arguments)(arguments) or 0)

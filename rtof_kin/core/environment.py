@@ -53,6 +53,16 @@ def limit_threads() -> None:
         os.environ.update(dict.fromkeys(VARIABLES, str(threads() or 1)))
 
 
+def keep_freed_memory() -> None:
+    """Let this process and those that it starts serve arrays below 32 MB from freed memory, where the C library is
+    glibc: a lift otherwise has a hundred thousand pages mapped and cleared anew.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        for number, name in ((-1, "MALLOC_TRIM_THRESHOLD_"), (-3, "MALLOC_MMAP_THRESHOLD_")):  # those of its mallopt
+            os.environ.setdefault(name, str(2**25))
+            ctypes.CDLL(None).mallopt(number, int(os.environ[name]))
+
+
 def return_free_memory() -> None:
     """Return memory that was freed to the system, where the C library (glibc) keeps it in pieces; elsewhere
     nothing. A loop with large arrays of changing sizes otherwise grows.

@@ -296,10 +296,8 @@ def _hierarchy(motion: ArticulatedMotion, order: str, joint: int, margin: str) -
     channels = [f"{axis}position" for axis in "XYZ"] if places else []
     channels += [f"{axis.upper()}rotation" for axis in order]
     lines = [f"{'JOINT' if joint else 'ROOT'} {motion.names[joint]}", "{"]
-    lines.append("\t" + _offset(motion.offsets[joint]))
-    lines.append(f"\tCHANNELS {len(channels)} {' '.join(channels)}")
-    children = children_of(motion.parents, joint)
-    for child in children:
+    lines += ["\t" + _offset(motion.offsets[joint]), f"\tCHANNELS {len(channels)} {' '.join(channels)}"]
+    for child in (children := children_of(motion.parents, joint)):
         lines += _hierarchy(motion, order, child, "\t")
     ends = [p for e, p in zip(motion.end_parents, motion.end_offsets, strict=True) if e == joint]
     for end in ends if ends or children else [np.zeros(3)]:

@@ -59,12 +59,12 @@ from rtof_kin.body.observability import (
 )
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.body.soles import floor_levels
-from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.core.files.text import load_toml, write_text
-from rtof_kin.core.jobs import Workers, in_order
+from rtof_kin.core.jobs import side_by_side
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
@@ -221,11 +221,7 @@ class Format:
 
 
 def write_motion_files(
-    folder: str | Path,
-    motion: AnyMotion,
-    formats: Sequence[str] = DEFAULT,
-    beside: Beside = _NOTHING,
-    workers: Workers | None = None,
+    folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT, beside: Beside = _NOTHING
 ) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
     `UnknownNameError`: no such format; `RtofError`: Parquet without pyarrow; `InvalidInputError`: a format needs even
@@ -233,17 +229,15 @@ def write_motion_files(
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
-        motion: what is written, in blocks; a file of it where there are workers. formats: names in `FORMATS`.
-        beside: what else some of them contain. workers: write formats side by side, see `core.jobs.in_order`.
+        motion: what is written, in blocks; a file of it where work is shared (`core.jobs`).
+        formats: names in `FORMATS`. beside: what else some of them contain.
     """
     check_formats(formats)
     folder, source = Path(folder), MotionSource.of(motion)
     (folder / URDF).write_text(source.skeleton.to_urdf(), encoding="utf-8")
     files: Files = {URDF: {"format": "urdf", "convention": convention("urdf")}}
-    tasks = [partial(_write_format, folder, source, beside, name) for name in FORMATS if name in formats]
-    for own in in_order(tasks, workers):
-        if isinstance(own, RtofError):
-            raise own
+    write = partial(_write_format, folder, source, beside)
+    for own in side_by_side(write, [name for name in FORMATS if name in formats]):
         files |= own
     text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")

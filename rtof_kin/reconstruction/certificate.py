@@ -34,7 +34,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.jobs.engine import side_by_side
+from rtof_kin.core.jobs import side_by_side
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
@@ -241,23 +241,23 @@ def certify(
         times = times[_liveliest(measured.resample(times), motion.poses.rate_hz)]
         start, stop = float(times[0]), float(times[-1])
         job = replace(job, recording=job.recording.between(start - _MARGIN_S, stop + _MARGIN_S))
-    job = replace(job, times=times)
+    report, job = job.progress, replace(job, times=times, progress=silent)
     imus, measured = job.recording.imus, job.recording.bone_imus(times=times)
     if imus is None or measured is None:
         return Certificate(start, stop, reason="the sensors have no samples")
     seconds = np.isfinite(measured.R_world_bone[:, :, 0, 0]).sum(axis=0) / motion.poses.rate_hz
     carried = zip(imus.names, measured.joints, seconds >= LEAST_KNOWN_S, strict=True)
     work = [_Without(job, mode, rejected, calibration, sensor=s, joint=joint) for s, joint, known in carried if known]
-    silent = set(measured.joints) - {one.joint for one in work}
-    untested = [(joint, f"its sensor has less than {LEAST_KNOWN_S:g} s of samples there") for joint in sorted(silent)]
+    untold = set(measured.joints) - {one.joint for one in work}
+    untested = [(joint, f"its sensor has less than {LEAST_KNOWN_S:g} s of samples there") for joint in sorted(untold)]
     if mode == "rtof":
         views = len(job.recording.views)
         work += [_Without(job, mode, rejected, calibration, joints=ends) for ends in _ENDS]
         work += [_Without(job, mode, rejected, calibration, views=True)] if views else []
     found, points = list[LeftOut](), list[LeftOutPoints]()
-    job.progress("certificate", 0, len(work))
+    report("certificate", 0, len(work))
     for done, (one, predicted) in enumerate(zip(work, side_by_side(_Without.predicted, work), strict=True), start=1):
-        job.progress("certificate", done, len(work))
+        report("certificate", done, len(work))
         if predicted is None:
             untested += [(one.joint, "without its sensor nothing could be reconstructed")] if one.sensor else []
         elif one.sensor:
@@ -317,7 +317,7 @@ class _Without:
         # Room for all sensors, so that the compiled energy is the same.
         places = (*self.job.settings.sensor_joints, *(recording.calibration.joints if recording.calibration else ()))
         settings = replace(self.job.settings, sensor_joints=places, checks=False)
-        job = replace(self.job, recording=recording, settings=settings, progress=silent)
+        job = replace(self.job, recording=recording, settings=settings)
         rejected = tuple(fault for fault in self.rejected if fault.what != self.joint)
         try:
             if self.mode == "imu":

@@ -8,7 +8,7 @@ part as a whole (outliers, inflation of covariances). Calibration and an unknown
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count, pairwise
@@ -23,7 +23,7 @@ from rtof_kin.core.array_types import Array, Index, blocks_of
 from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
-from rtof_kin.core.jobs import Processes, Workers, in_order, outcome
+from rtof_kin.core.jobs import in_order, is_shared
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, cut, lost, sample
@@ -41,7 +41,6 @@ LONG_SECONDS: Final = 120.0  #: [s] Recordings beyond this are reconstructed in 
 _STEP_SECONDS: Final = 2.0  #: [s] by which video and sensors may be out of step
 _SLICES: Final = 12
 _SLICE_SECONDS: Final = 4.0  #: Number and length [s] of the slices of a recording by which it is calibrated
-_PART_BYTES: Final = 0.6e9  #: Memory of a process that solves parts
 _FEW_HZ: Final = 5.0  #: Frames per second that show where in a recording the person is and moves
 
 
@@ -91,20 +90,19 @@ def reconstruct_in_parts(
     known: SelfCalibration | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
-    workers: Workers | None = None,
 ) -> Iterator[Reconstruction]:
     """Yield the reconstruction of a recording part by part: one part, unless it is long.
 
     Parts follow one another without a gap, their configurations are continuous. A part that cannot be reconstructed,
     e.g. because nobody is seen, has poses of NaN and a warning that says why. `RtofError`: no part can be
     reconstructed; the error of the first one. Errors of the calibration, and those of `reconstruct`.
+    Inside `core.jobs.work_shared`, processes of one thread each solve parts side by side; the result is the same to
+    the bit where this process has one thread, too.
 
     Args:
         skeleton, mode, lifter, settings, calibrate, priors, calibration, known: as for `reconstruct`.
         progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
         seconds: length of a part. Default: `PART_SECONDS`, and one part where the recording is not `is_long`.
-        workers: of `workers_for`, which solve parts side by side, one thread each. The result is the same to the bit
-            where this process has one thread, too.
     """
     mode = source.usual_mode if mode is None else mode
     if mode not in MODES:
@@ -125,11 +123,11 @@ def reconstruct_in_parts(
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
     with explaining(job):
         seen = cache(partial(_thinned, source))
-        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode, seen), workers)
+        setup = estimate_setup(job, mode, given, *_excerpts(source, job, mode, seen))
     certified, spans = -1, [times[part.start : part.stop] for part in parts]
     if settings.certificate:
         certified = len(parts) // 2 if source.frame_times is None else _liveliest(seen(), spans)
-    one = job if workers is None else replace(job, progress=silent)
+    one = replace(job, progress=silent) if is_shared() else job
 
     def task(number: int, part: Part) -> Callable[[], Reconstruction] | RtofError:
         """Return what solves a part, or why it cannot be read."""
@@ -143,7 +141,7 @@ def reconstruct_in_parts(
 
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     report("parts", 0, len(parts))
-    solved = in_order(map(task, count(), parts), workers)
+    solved = in_order(map(task, count(), parts))
     for done, (part, found) in enumerate(zip(parts, solved, strict=True), start=1):
         report("parts", done, len(parts))
         if isinstance(found, RtofError):
@@ -165,18 +163,6 @@ def _part_run(job: Job, mode: Mode, setup: SetupEstimate, part: Part) -> Reconst
     """Solve a part; return the frames that are kept, but all with a path of the root, which `Seam` continues."""
     found = run(job, mode, setup)
     return found if found.root_sigma is not None else cut(found, part.kept, part.first)
-
-
-@contextmanager
-def workers_for(source: RecordingSource, number: int) -> Iterator[Workers | None]:
-    """Yield processes that begin at once and solve the parts of a recording; none where `number` or its parts are 1."""
-    parts = round((source.stop_s - source.start_s) / PART_SECONDS)
-    if number == 1 or not is_long(source):
-        yield None
-        return
-    with Workers(Processes(min(number, parts), memory_per_job=_PART_BYTES), outcome) as workers:
-        workers.begin()
-        yield workers
 
 
 def _liveliest(seen: KeypointSequence, spans: Sequence[Array]) -> int:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from operator import call
+from typing import Any
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import RESULT_WARNINGS
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.jobs.engine import side_by_side
+from rtof_kin.core.jobs import side_by_side
+from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
@@ -24,7 +26,7 @@ from rtof_kin.reconstruction import checks
 from rtof_kin.reconstruction.certificate import certify
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Job, Prepared, Progress
+from rtof_kin.reconstruction.prepare import Job, Prepared, Progress, silent
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import SetupEstimate, find_camera, with_camera
@@ -133,23 +135,23 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
     job = declared.calibrated(calibration)
     prepared, poses, solution = _optimised(job, mode, calibration, clocks.left_out(job))
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
-    others = list[PoseSequence]()
-    if solution is not None and solution.confidence is not None:
-        others += clocks.apart(poses) if job.sensed(mode) else ()
-        again = partial(job.solved_again, mode=mode, rejected=prepared.rejected, calibration=calibration)
-        deviations = camera.deviations() if camera is not None else []
-        others += (found for _, found in side_by_side(again, [with_camera(recording, one) for one in deviations]))
     left_out = (other.warning for other in prepared.others if other.doubt)
     warnings = (*setup.warnings, *left_out, *quality_warnings(prepared, solution, settings))
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     motion = skeleton.motion(poses)
     legs = None if solution is None else leg_misfit(prepared.recording.video, motion)
-    found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
+    others, tasks = list[PoseSequence](), list[Callable[[], Any]]()
     if settings.checks:
-        found, position = checks.run(
-            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=clocks.checks, legs=legs
-        )
+        checked = partial(checks.run, suspect=suspect, belonging=clocks.checks, legs=legs)
+        tasks.append(partial(checked, declared.recording, prepared, poses, job.lifter))
+    if solution is not None and solution.confidence is not None:
+        others += clocks.apart(poses) if job.sensed(mode) else ()
+        again = partial(_solved_with, replace(job, progress=silent), mode, prepared.rejected, calibration)
+        tasks += [partial(again, one) for one in (camera.deviations() if camera is not None else ())]
+    results = list(side_by_side(call, tasks))
+    found, position = results.pop(0) if settings.checks else ((), PositionErrors.declared(declared.recording))
+    others += results
     motion, position = with_covariances(motion, prepared, solution, others, position, legs)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     certificate = certify(job, mode, motion, prepared.rejected, calibration) if settings.certificate else None
@@ -174,6 +176,13 @@ def _from_video(job: Job, mode: Mode, setup: SetupEstimate) -> Reconstruction:
         position_errors=position,
         lifts=prepared.others,
     )
+
+
+def _solved_with(
+    job: Job, mode: Mode, rejected: tuple[StreamFault, ...], calibration: SelfCalibration | None, camera: Camera
+) -> PoseSequence:
+    """Solve with another camera."""
+    return job.solved_again(with_camera(job.recording, camera), mode, rejected, calibration)[1]
 
 
 def _optimised(

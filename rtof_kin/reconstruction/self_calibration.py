@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from rtof_kin.core.array_types import blocks_of
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError
-from rtof_kin.core.jobs import Workers, in_order
+from rtof_kin.core.jobs import side_by_side
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
@@ -169,28 +169,32 @@ def find_camera(job: Job, mode: Mode) -> CameraEstimate:
     seen = job.recording.video
     recording = replace(job.recording, keypoints=excerpt(seen), views=(), truth=None)
 
-    def solve(recording: Recording) -> tuple[Prepared, PoseSequence]:
-        if sensed:
-            return job.solved_again(recording, "rtof")
-        prepared = replace(job, recording=recording, progress=silent).prepare("rto")
-        return prepared, prepared.start
-
-    prepared, poses = solve(recording)
+    job = replace(job, recording=recording, progress=silent)
+    prepared, poses = _solved(job, sensed)
     clean, imus, floor = prepared.recording, prepared.bone_imus, recording.floor_height
     if imus is not None and not np.isfinite(imus.R_world_bone).any():
         imus = None
     fresh = seen.camera.uncertainty is None or not seen.camera.uncertainty.of_motion
     scene = Scene(job.subject, floor, standing_feet(clean.video, poses, job.subject), imus, fresh)
-
-    def seen_by(camera: Camera) -> Evidence:
-        own = with_camera(clean, camera)
-        prepared, poses = solve(own)
-        by_image = prepared.lifted.poses
-        if scene.bone_imus is not None:
-            by_image = lift(own.video, job.subject, job.lifter, None, floor).poses
-        return evidence(scene, own.video, by_image, poses)
-
+    seen_by = partial(_evidence, replace(job, recording=clean), sensed, scene)
     return estimate_camera(seen.camera, seen_by, report)
+
+
+def _solved(job: Job, sensed: bool) -> tuple[Prepared, PoseSequence]:
+    if sensed:
+        return job.solved_again(job.recording, "rtof")
+    prepared = job.prepare("rto")
+    return prepared, prepared.start
+
+
+def _evidence(job: Job, sensed: bool, scene: Scene, camera: Camera) -> Evidence:
+    """Evidence of a recording if it was made by a camera."""
+    job = replace(job, recording=with_camera(job.recording, camera))
+    prepared, poses = _solved(job, sensed)
+    by_image = prepared.lifted.poses
+    if scene.bone_imus is not None:
+        by_image = lift(job.recording.video, job.subject, job.lifter, None, job.recording.floor_height).poses
+    return evidence(scene, job.recording.video, by_image, poses)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
@@ -321,12 +325,7 @@ class SetupEstimate:
 
 
 def estimate_setup(
-    job: Job,
-    mode: Mode,
-    given: Given,
-    slices: Sequence[Job] | None = None,
-    filmed: Job | None = None,
-    workers: Workers | None = None,
+    job: Job, mode: Mode, given: Given, slices: Sequence[Job] | None = None, filmed: Job | None = None
 ) -> SetupEstimate:
     """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given. Errors of the
     stages.
@@ -334,7 +333,6 @@ def estimate_setup(
     Args:
         job: on the recording, or its first part. slices: on excerpts of a long one, in the order of time, by which
             clocks and calibration are estimated; filmed: the same for its camera, which the image alone shows then.
-        workers: lift the excerpts side by side.
     """
     if mode == "imu":
         return SetupEstimate()
@@ -347,7 +345,7 @@ def estimate_setup(
     choices = Choices("given" if calibration is not None else "yes" if calibrate else "no", known is not None, name)
     jobs, clocks, camera = [job] if slices is None else slices, ClockOffset(), None
     if sensed and (calibration is None or not calibration.of_kind("delay")):
-        clocks = find_offset(jobs, workers)
+        clocks = find_offset(jobs)
     warnings = clocks.warnings
     if own.camera.uncertainty is not None:
         camera = find_camera(clocks.corrected(filmed or job), mode if filmed is None else "lift")
@@ -362,9 +360,8 @@ def estimate_setup(
     return setup
 
 
-def find_offset(jobs: Sequence[Job], workers: Workers | None = None) -> ClockOffset:
-    """Estimate the clocks of jobs in the order of time; nothing where no person is seen or nothing moves. `workers`
-    lift them side by side.
+def find_offset(jobs: Sequence[Job]) -> ClockOffset:
+    """Estimate the clocks of jobs in the order of time; nothing where no person is seen or nothing moves.
 
     Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors
     (`calibration.clocks.small_offset`); where that leaves more than `_UNSHARP`, the energy of a short excerpt decides.
@@ -372,7 +369,7 @@ def find_offset(jobs: Sequence[Job], workers: Workers | None = None) -> ClockOff
     if not jobs:
         return ClockOffset()
     try:
-        seen, sensed, columns = _angular_velocities(jobs, workers)
+        seen, sensed, columns = _angular_velocities(jobs)
         found = small_offset(seen.of(columns), sensed)
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
@@ -414,18 +411,13 @@ def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Q
     return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
 
 
-def _angular_velocities(
-    jobs: Sequence[Job], workers: Workers | None
-) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
+def _angular_velocities(jobs: Sequence[Job]) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
     """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
-    tasks, parts = [partial(_velocities_of, replace(job, progress=silent)) for job in jobs], []
+    quiet, parts = [replace(job, progress=silent) for job in jobs], list[Any]()
     jobs[0].progress("lift", 0, len(jobs))
-    for found in in_order(tasks, workers):
+    for found in side_by_side(_velocities_of, quiet):
         parts.append(found)
         jobs[0].progress("lift", len(parts), len(jobs))
-    for found in parts:
-        if isinstance(found, RtofError):
-            raise found
     seen, sensed, columns = zip(*parts, strict=True)
     return joined(seen), joined(sensed), columns[-1]
 

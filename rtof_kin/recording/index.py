@@ -27,10 +27,9 @@ from rtof_kin.core.over_time import Stream
 from rtof_kin.data.corrections import Correction
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.cameras import filmed_stream
-from rtof_kin.recording.corrections import corrected
 from rtof_kin.recording.labels import Session
 from rtof_kin.recording.sensor_files import imu_stream
-from rtof_kin.recording.streams import Source, Streams, data_path, naming, needed
+from rtof_kin.recording.streams import Source, Streams, corrected, data_path, naming, needed
 from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
 from rtof_kin.vision.lift_points import LiftPoints, read_lift_points, split_convention
 

@@ -1,27 +1,38 @@
-"""`Streams`: all samples of a recording, and `Source`, which reads their files block by block."""
+"""`Streams`: all samples of a recording, `Source`, which reads their files block by block, and corrections by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, indices_of
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError, UnitError, reading
+from rtof_kin.core.errors import (
+    CalibrationError,
+    FileFormatError,
+    InvalidInputError,
+    RtofError,
+    UnitError,
+    UnknownNameError,
+    reading,
+)
 from rtof_kin.core.files.arrays import WaitingArray, csv_blocks, npz_rows, npz_shapes, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
 from rtof_kin.core.over_time import ALL, BLOCK, Part, Stream
+from rtof_kin.data.corrections import Correction
 from rtof_kin.data.imu import ImuSequence, UnitCheck
-from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence, detector_point, layout_and_point
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
+from rtof_kin.vision.layouts import mirrored
 
 
 @dataclass(frozen=True)
@@ -215,3 +226,64 @@ def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: 
     if missing:
         raise FileFormatError(path, f"the column {missing[0]!r} is missing", 1)
     return tuple(names)
+
+
+# --- corrections by hand: what is left out, and sides that are exchanged ---------------------------
+
+_STREAMS: Final = ("all", "image", "sensors")  #: What is left out as a whole
+
+
+def corrected(streams: Streams, corrections: Iterable[Correction], path: Path) -> Streams:
+    """Return the streams of a recording with the corrections that their samples do not have yet. `UnknownNameError`: a
+    sensor that is left out is not there.
+
+    Args:
+        path: of ``recording.toml``, for messages.
+    """
+    for one in corrections:
+        if one.applied:
+            continue
+        if one.kind == "exchange_sides" and streams.keypoints is not None:
+            streams = replace(streams, keypoints=_mapped(streams.keypoints, partial(_exchanged, one)))
+        if one.kind != "leave_out":
+            continue
+        if one.what in ("all", "image"):
+            unseen = partial(_unseen, one)
+            first = None if streams.keypoints is None else _mapped(streams.keypoints, unseen)
+            streams = replace(streams, keypoints=first, views=tuple(_mapped(view, unseen) for view in streams.views))
+        if one.what != "image" and streams.imus is not None:
+            names = streams.imus.part(slice(0, 1)).names
+            if one.what not in (*_STREAMS, *names):
+                raise UnknownNameError("sensor", [one.what], names, path, "[[corrections]] what")
+            left = [i for i, name in enumerate(names) if one.what in (*_STREAMS, name)]
+            streams = replace(streams, imus=_mapped(streams.imus, partial(_silent, one, left)))
+    return streams
+
+
+def _mapped(stream: Stream[Part], change: Callable[[Part], Part]) -> Stream[Part]:
+    return Stream(stream.times, lambda rows: change(stream.part(rows)))
+
+
+def _unseen(one: Correction, keypoints: KeypointSequence) -> KeypointSequence:
+    confidence = np.where(one.within(keypoints.times)[:, None], 0.0, keypoints.confidence)
+    return replace(keypoints, confidence=confidence)
+
+
+def _exchanged(one: Correction, keypoints: KeypointSequence) -> KeypointSequence:
+    """Exchange left and right of all points that have both."""
+    names = keypoints.names
+    order = list(range(len(names)))
+    for i, name in enumerate(names):
+        layout, point = layout_and_point(name)
+        other = detector_point(layout, mirrored(point)) if layout else mirrored(point)
+        order[i] = names.index(other) if other in names else i
+    own = one.within(keypoints.times)
+    uv, confidence = keypoints.uv_px.copy(), keypoints.confidence.copy()
+    uv[own], confidence[own] = keypoints.uv_px[own][:, order], keypoints.confidence[own][:, order]
+    return replace(keypoints, uv_px=uv, confidence=confidence)
+
+
+def _silent(one: Correction, sensors: list[int], imus: ImuSequence) -> ImuSequence:
+    R, f, lost = imus.R_inertial_sensor.copy(), imus.f_sensor.copy(), np.ix_(one.within(imus.times), np.array(sensors))
+    R[lost], f[lost] = np.nan, np.nan
+    return replace(imus, R_inertial_sensor=R, f_sensor=f)

@@ -253,12 +253,12 @@ def _cautions(found: Comparison) -> list[str]:
             "Ranges are those of the whole recordings: they differ if the person did something else, and how "
             "much they vary from one recording to the next is not known and not included"
         )
-    for one in (a, b):
-        if one.other_system and not one.own_export:
-            lines.append(
-                f"The zero of {one.name} is that of its own model: a constant difference may be one of "
-                "definition; see the errors without offset and the ranges"
-            )
+    lines += [
+        f"The zero of {one.name} is that of its own model: a constant difference may be one of "
+        "definition; see the errors without offset and the ranges"
+        for one in (a, b)
+        if one.other_system and not one.own_export
+    ]
     if often := sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside):
         names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
         lines.append(

@@ -35,7 +35,6 @@ from rtof_kin.clinical.laboratory import trial_results
 from rtof_kin.core.choices import MARKERS
 from rtof_kin.core.environment import environment
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.core.jobs import Workers
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, MeasurementsWriter, measurements_path
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
 from rtof_kin.formats.trial_results import Beside, TrialResults
@@ -61,7 +60,6 @@ def export(
     formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
     run: Mapping[str, Any] | None = None,
-    workers: Workers | None = None,
 ) -> ReconstructionStatistics:
     """Write a reconstruction; after an error there is no folder.
 
@@ -78,7 +76,6 @@ def export(
             motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
         run: what the run can be repeated by, for the summary, which also gets the environment.
-        workers: of `workers_for`, each of which writes one format after the other.
 
     Returns:
         Statistics of the whole.
@@ -111,7 +108,7 @@ def export(
             contents["run"] = {**run, "environment": environment() | {"energy": statistics.first.evaluated}}
         (temporary / "summary.json").write_text(json.dumps(contents, indent=2) + "\n", encoding="utf-8")
         with MotionReader(temporary / MARKER) as reader, beside_of(temporary) as beside:
-            write_motion_files(temporary, reader, formats, beside, workers)
+            write_motion_files(temporary, reader, formats, beside)
         if statistics.certificate is not None and statistics.certificate.left_out:
             certified.write_frames(statistics.certificate, temporary)
     return statistics

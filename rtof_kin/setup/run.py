@@ -19,10 +19,10 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExist
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
-from rtof_kin.core.jobs.engine import cores_limited, usable_cores
+from rtof_kin.core.jobs import work_shared
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.formats.gait_events import read_event_corrections
-from rtof_kin.reconstruction.parts import reconstruct_in_parts, workers_for
+from rtof_kin.reconstruction.parts import is_long, reconstruct_in_parts
 from rtof_kin.reconstruction.person import Person, update_subject
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -108,8 +108,6 @@ def run(
     setup = setup if height is None else replace(setup, height=height)
     setup, own, person = replace(setup, lifter=task.lifter()), folder / RECORDING, task.person()
     how: dict[str, Any] = {"detect": detect, "overwrite": overwrite, "kept": kept, "progress": progress}
-    with cores_limited(task.threads):
-        findings = make_recordings(files, folder, setup, task, second, **how)
 
     def step(name: str, make: Callable[[Path, bool, Mapping[str, str]], object], *inputs: object) -> None:
         """Make a folder, unless it is there and its inputs are the same."""
@@ -125,21 +123,21 @@ def run(
         joined = join_recordings(first, other, setup.lifter, synchronised=second.synchronised)
         joined.save(output, overwrite, inputs)
 
-    if second.second:
-        step(JOINED, join, own, folder / SECOND, str(task.model), second.synchronised)
-        own = folder / JOINED
-    with RecordingReader.open(own) as recording:
-        task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.facts.notes
-    solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
-    known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
-    step(MOTION, solved, own, str(task), str(settings), str(known), *given)
-    step(
-        ANGLES,
-        lambda *made: write_analysis(folder / MOTION, made[0], analysis, *made[1:]),
-        folder / MOTION,
-        str(analysis),
-    )
-    _write_page(folder, analysis, kept)
+    def analyse(output: Path, overwrite: bool, inputs: Mapping[str, str]) -> None:
+        write_analysis(folder / MOTION, output, analysis, overwrite, inputs)
+
+    with work_shared(task.threads, reconstruct_in_parts):
+        findings = make_recordings(files, folder, setup, task, second, **how)
+        if second.second:
+            step(JOINED, join, own, folder / SECOND, str(task.model), second.synchronised)
+            own = folder / JOINED
+        with RecordingReader.open(own) as recording:
+            task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.facts.notes
+        solved = partial(reconstruct_folder, own, task=task, settings=settings, learned=learned, progress=progress)
+        known = {} if person is None else {path: (one.value, one.sd) for path, one in person.known.items()}
+        step(MOTION, solved, own, str(task), str(settings), str(known), *given)
+        step(ANGLES, analyse, folder / MOTION, str(analysis))
+        _write_page(folder, analysis, kept)
     said = tuple(note for note in notes.splitlines() if note.partition(": ")[2].startswith(ABOUT))
     return Run(folder, findings, said, read_summary(folder / MOTION / SUMMARY))
 
@@ -197,8 +195,10 @@ def reconstruct_folder(
         source: RecordingSource = (
             recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
         )
-        stack.enter_context(cores_limited(task.threads))
-        workers = stack.enter_context(workers_for(source, usable_cores()))
+        seen = source.between(source.start_s, source.start_s).keypoints
+        searched = seen is not None and seen.camera.uncertainty is not None
+        dear = settings.certificate or searched or is_long(source)  # worth processes of their own
+        stack.enter_context(work_shared(task.threads if dear else 1, reconstruct_in_parts))
         mode, known, digest = task.mode or source.usual_mode, task.calibration, source.digest()
         source = task.with_lifts(source)
         if task.events is not None:
@@ -220,24 +220,11 @@ def reconstruct_folder(
         }
         if used := person.used(informed.facts):
             record["person"] = used
-        how: Any = {
-            "mode": mode,
-            "lifter": lifter,
-            "settings": settings,
-            "calibrate": task.calibrate,
-            "known": person.calibration if known is None else read_self_calibration_toml(known),
-            "progress": progress,
-            "workers": workers,
-        }
+        how: Any = {"lifter": lifter, "settings": settings, "calibrate": task.calibrate, "progress": progress}
+        how["known"] = person.calibration if known is None else read_self_calibration_toml(known)
         body, label = informed.facts.skeleton, f"recording {digest[:8]}"
-        found = export(
-            person.learning(reconstruct_in_parts(informed, **how), source.facts, body, label),
-            output,
-            overwrite,
-            inputs=inputs,
-            workers=workers,
-            run=record,
-        )
+        parts = person.learning(reconstruct_in_parts(informed, None, mode, **how), source.facts, body, label)
+        found = export(parts, output, overwrite, inputs=inputs, run=record)
     if task.update_subject and task.subject is not None:
         for sentence in update_subject(task.subject, person.news, body.name, person.doubt):
             (learned or (lambda _: None))(sentence)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -22,7 +23,6 @@ from rtof_kin.app.store import State, Store
 from rtof_kin.app.work import Stages, Work
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
-from rtof_kin.core.jobs.engine import usable_cores
 from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.setup.init import read_findings
 
@@ -177,7 +177,7 @@ def test_the_process_may_start_others_for_all_cores(store: Store, work: Work, mo
     monkeypatch.setattr(module, "_reconstruct", told)
     work.ask(first := store.takes()[0])
     until(lambda: store.take(first).state is State.FAILED)
-    assert store.take(first).said == f"{usable_cores()} cores False"
+    assert store.take(first).said == f"{len(os.sched_getaffinity(0))} cores False"
 
 
 def test_a_process_that_ends_without_an_answer_is_said(

@@ -7,9 +7,9 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,19 @@ from protocol_support import read_json
 
 from benchmarks.command_line import resident_memory
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
-from rtof_kin.core.jobs import Engine, InThisProcess, Processes, RayCluster, open_runs, run_jobs
+from rtof_kin.core.jobs import (
+    Engine,
+    InThisProcess,
+    Processes,
+    RayCluster,
+    is_shared,
+    open_runs,
+    run_jobs,
+    side_by_side,
+    work_shared,
+)
 from rtof_kin.core.jobs import processes as module
-from rtof_kin.core.jobs.engine import cores_limited, side_by_side, usable_cores
+from rtof_kin.core.jobs.engine import cores_limited, usable_cores
 from rtof_kin.core.jobs.memory import available_memory, peak_memory, reset_peak, total_memory
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
@@ -371,26 +381,66 @@ def test_memory_of_this_process_is_measured() -> None:
 # --- threads ---------------------------------------------------------------------------------------
 
 
-def test_results_of_threads_are_in_order_and_as_many_run_as_cores_may_be_used() -> None:
-    both = threading.Barrier(2, timeout=10)
-    with cores_limited(2):
-        assert usable_cores() == 2
-        assert list(side_by_side(lambda n: (both.wait() >= 0, n), range(4))) == [(True, n) for n in range(4)]
-        with cores_limited(1), cores_limited(None):
-            assert usable_cores() == 1
-            assert len({*side_by_side(lambda _: threading.get_ident(), range(8))}) == 1
-        assert usable_cores() == 2
-    assert usable_cores() == len(os.sched_getaffinity(0))
+def test_work_is_shared_by_processes_inside_and_done_here_outside() -> None:
+    with work_shared(2):
+        assert is_shared()
+        with work_shared(1):  # the outer one holds
+            shared = list(side_by_side(engine_jobs.whereabouts, range(4)))
+    here = list(side_by_side(engine_jobs.whereabouts, range(2)))
+    assert not is_shared()
+    assert here == [(os.getpid(), os.environ.get("OMP_NUM_THREADS"))] * 2
+    assert 1 <= len({*shared}) <= 2
+    assert {threads for _, threads in shared} == {"1"}
+    assert os.getpid() not in {process for process, _ in shared}
+
+
+def test_one_core_does_all_itself() -> None:
+    with cores_limited(3):
+        assert usable_cores() == 3
+        with cores_limited(None):
+            assert usable_cores() == 3
+        with work_shared(1):
+            assert not is_shared()
+
+
+def test_work_inside_shared_work_is_done_here() -> None:
+    with work_shared(2):
+        inner = [[*side_by_side(engine_jobs.square, [n])] for n in side_by_side(engine_jobs.square, [2, 3])]
+    assert inner == [[16], [81]]
+
+
+def test_the_first_error_of_shared_work_is_raised_and_ends_what_runs(tmp_path: Path) -> None:
+    tasks = [partial(engine_jobs.refuse, "so it is"), *[partial(engine_jobs.sleep_and_tell, tmp_path)] * 5]
+    begun = time.monotonic()
+    with work_shared(2):
+        with pytest.raises(InvalidInputError, match="so it is"):
+            list(side_by_side(engine_jobs.call, tasks))
+        assert list(side_by_side(engine_jobs.square, [1, 2, 3])) == [1, 4, 9]
+    assert time.monotonic() - begun < 60
+
+
+def test_shared_work_does_not_repeat_warnings(capfd: pytest.CaptureFixture[str]) -> None:
+    with work_shared(2):
+        list(side_by_side(engine_jobs.warn, ["again"] * 3))
+    assert "again" not in capfd.readouterr().err
+
+
+def test_a_script_that_shares_work_is_not_run_again(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from math import sqrt\n"
+        "from rtof_kin.core.jobs import side_by_side, work_shared\n"
+        "print('begun', flush=True)\n"
+        "with work_shared(2):\n"
+        "    print(list(side_by_side(sqrt, [4.0, 9.0])))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "begun\n[2.0, 3.0]\n", "")
 
 
 def test_a_worker_uses_one_core_unless_it_is_told_more() -> None:
     ended = Processes(1).run(engine_jobs.cores, [("told", 3), ("not told", None)])
     assert {one.key: one.answer for one in ended} == {"told": 3, "not told": 1}
-
-
-def test_an_error_in_a_thread_is_raised() -> None:
-    with cores_limited(2), pytest.raises(ZeroDivisionError):
-        list(side_by_side(lambda n: 1 / n, [1, 0, 2]))
 
 
 # --- Ray -----------------------------------------------------------------------------------------

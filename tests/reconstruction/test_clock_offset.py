@@ -14,7 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.calibration.straight_legs import NEVER_STILL
-from rtof_kin.core.jobs import Processes, Workers, outcome
+from rtof_kin.core.jobs import work_shared
 from rtof_kin.reconstruction import self_calibration
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Job
@@ -122,8 +122,9 @@ def test_a_recording_without_sensors_has_no_clocks_to_compare(demo: Recording) -
 
 def test_excerpts_lifted_side_by_side_and_one_by_one_give_the_same_clocks(demo: Recording) -> None:
     jobs = [Job.of(demo.between(begin, begin + 3.0)) for begin in (1.0, 6.0, 12.0)]
-    with Workers(Processes(2), outcome) as workers:
-        assert find_offset(jobs, workers) == find_offset(jobs)
+    one_by_one = find_offset(jobs)
+    with work_shared(2):
+        assert find_offset(jobs) == one_by_one
 
 
 def test_sensors_that_began_seconds_off_are_left_out_and_the_first_line_says_when(demo: Recording) -> None:

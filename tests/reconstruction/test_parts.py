@@ -11,7 +11,7 @@ import pytest
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.jobs import Processes, Workers, outcome
+from rtof_kin.core.jobs import is_shared, work_shared
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.measurements_file import read_measurements
 from rtof_kin.reconstruction import parts, self_calibration
@@ -91,8 +91,9 @@ def test_parts_that_are_solved_side_by_side_are_the_same_to_the_bit(demo: Record
     confidence = np.where(unseen[:, None], 0.0, demo.video.confidence)
     recording = replace(demo, keypoints=replace(demo.video, confidence=confidence)).between(0.0, 6.0)
     one = list(reconstruct_in_parts(recording, mode="lift", seconds=2.0))
-    with Workers(Processes(2), outcome) as workers:
-        two = list(reconstruct_in_parts(recording, mode="lift", seconds=2.0, workers=workers))
+    with work_shared(2):
+        assert is_shared()
+        two = list(reconstruct_in_parts(recording, mode="lift", seconds=2.0))
     assert len(one) == len(two) == 3
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.motion.q, b.motion.q)

@@ -144,7 +144,8 @@ def test_progress_reports_every_stage_and_equal_calls_give_equal_motions(
     steps: list[tuple[str, int, int]] = []
     again = case.run(mode, progress=lambda *step: steps.append(step))
     np.testing.assert_array_equal(again.motion.q, results[mode].motion.q)
-    assert steps[:2] == [("lift", 0, 1), ("lift", 1, 1)]
+    assert steps[0] == ("lift", 0, 1)
+    assert ("lift", 1, 1) in steps
     if mode in ("rto", "rtof"):
         assert steps[-1] == (mode, 6, 6)
     assert all(done <= total for _, done, total in steps)

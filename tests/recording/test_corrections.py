@@ -19,9 +19,9 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.corrections import Correction
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.corrections import corrected
 from rtof_kin.recording.index import read_corrections, write_corrections
 from rtof_kin.recording.recording import Recording, RecordingReader
+from rtof_kin.recording.streams import corrected
 from rtof_kin.reporting.export import export
 from rtof_kin.reporting.page import report
 

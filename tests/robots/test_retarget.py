@@ -21,8 +21,7 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import Provenance
-from rtof_kin.robots.retarget import FIGURES, Contacts, Retargeter, RobotMotion, sigmas
-from rtof_kin.robots.robot_map import RobotMap
+from rtof_kin.robots.retarget import FIGURES, Contacts, Retargeter, RobotMap, RobotMotion, sigmas
 
 Array = NDArray[np.float64]
 ROBOTS = {"talos": TALOS, "gr1": GR1, "g1": G1}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.jobs.engine import cores_limited, usable_cores
 
 
@@ -41,6 +44,18 @@ def fail(kind: str) -> object:
     if kind == "raise":
         raise ZeroDivisionError("by nothing")
     return lambda: None  # cannot be sent back
+
+
+def call(task: Callable[[], object]) -> object:
+    return task()
+
+
+def warn(text: str) -> None:
+    logging.getLogger("rtof_kin.core").warning(text)
+
+
+def refuse(why: str) -> None:
+    raise InvalidInputError(why)
 
 
 def sleep_and_tell(folder: Path) -> None:

@@ -12,7 +12,6 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -86,12 +85,6 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def side_by_side(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-    """Yield a function's results in order, computed in a thread for each of the usable cores; it raises its errors."""
-    with ThreadPoolExecutor(usable_cores()) as pool:
-        yield from pool.map(function, items)
 
 
 _AHEAD: Final = 2  #: Jobs that are handed to the cluster, for each of its cores

@@ -11,20 +11,26 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from multiprocessing.connection import Connection, wait
+from types import ModuleType
 from typing import Any, Final, TypeVar
 
 from rtof_kin.core.environment import VARIABLES
 from rtof_kin.core.errors import InvalidInputError, RtofError, SolverError
-from rtof_kin.core.jobs.engine import Ended, ended, usable_cores
+from rtof_kin.core.jobs.engine import Ended, cores_limited, ended, usable_cores
 from rtof_kin.core.jobs.memory import available_memory, total_memory
 
 _GB: Final = 1e9
+_AT_ONCE: Final = 4  #: Workers that are started before there are jobs for them
+_SHARE_BYTES: Final = 0.6e9  #: Memory of a process that shares the work
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _log = logging.getLogger(__name__)
 _Job = tuple[str, Any]
@@ -60,12 +66,12 @@ class Processes:
 class _Worker:
     """A process that does one job after the other."""
 
-    def __init__(self, function: Callable[[Any], Any]):
+    def __init__(self, function: Callable[[Any], Any], *needed: Callable[..., Any]):
         self.connection, inner = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(function, inner))
+        self.process = _CONTEXT.Process(target=_serve, args=(inner, function, *needed))
         self.job: _Job | None = None
         self.done = 0
-        with _one_thread():
+        with _on_its_own(function):
             self.process.start()
         inner.close()  # so that the end of the process is the end of the pipe
 
@@ -90,8 +96,9 @@ class _Worker:
 class Workers(AbstractContextManager["Workers"]):
     """Processes that do the jobs of several runs, one run after the other; a context that ends them."""
 
-    def __init__(self, settings: Processes, function: Callable[[Any], Any]):
-        self.settings, self.function, self.most = settings, function, settings.workers or usable_cores()
+    def __init__(self, settings: Processes, function: Callable[[Any], Any], *needed: Callable[..., Any]):
+        self.settings, self.most = settings, settings.workers or usable_cores()
+        self.start = partial(_Worker, function, *needed)
         if settings.memory_per_job and (available := available_memory()) is not None:
             self.most = max(1, min(self.most, int(available // settings.memory_per_job)))
         self.idle: list[_Worker] = []
@@ -108,8 +115,8 @@ class Workers(AbstractContextManager["Workers"]):
             worker.process.join()
 
     def begin(self) -> None:
-        """Start all of them now: what the function needs is imported before the first job is known."""
-        self.idle += [_Worker(self.function) for _ in range(self.most)]
+        """Start some of them now: the modules of all functions are imported before the first job is known."""
+        self.idle += [self.start() for _ in range(min(self.most, _AT_ONCE))]
 
     def run(self, jobs: Iterable[_Job]) -> Iterator[Ended]:
         """Run jobs, see `Engine.run`; it has to be exhausted before the next run."""
@@ -127,32 +134,71 @@ class Workers(AbstractContextManager["Workers"]):
 
     def _ended(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
-        while True:
-            given = list[tuple[_Worker, _Job]]()
-            for job in islice(jobs, self.most - len(self.busy)):
-                given.append((self.idle.pop() if self.idle else _Worker(self.function), job))
-                self.busy.append(given[-1][0])
-            for worker, job in given:  # all have begun: a large job waits until its worker has
-                worker.give(job)
-            if not self.busy:
-                return
-            ready = wait([worker.connection for worker in self.busy])
-            for worker in [worker for worker in self.busy if worker.connection in ready]:
-                self.busy.remove(worker)
-                lost, answer = worker.take()
-                if lost is not None or worker.done >= self.settings.jobs_per_worker:
-                    worker.connection.close()
-                else:
-                    self.idle.append(worker)
-                yield lost, answer
+        try:
+            while True:
+                given = list[tuple[_Worker, _Job]]()
+                for job in islice(jobs, self.most - len(self.busy)):
+                    given.append((self.idle.pop() if self.idle else self.start(), job))
+                    self.busy.append(given[-1][0])
+                for worker, job in given:  # all have begun: a large job waits until its worker has
+                    worker.give(job)
+                if not self.busy:
+                    return
+                ready = wait([worker.connection for worker in self.busy])
+                for worker in [worker for worker in self.busy if worker.connection in ready]:
+                    self.busy.remove(worker)
+                    lost, answer = worker.take()
+                    if lost is not None or worker.done >= self.settings.jobs_per_worker:
+                        worker.connection.close()
+                    else:
+                        self.idle.append(worker)
+                    yield lost, answer
+        finally:  # also if nobody wants the others
+            for worker in self.busy:
+                worker.process.terminate()
+                worker.connection.close()
+            self.busy.clear()
 
 
 _T = TypeVar("_T")
+_sharing: Final = ContextVar[Workers | None]("workers of `in_order`", default=None)
 
 
-def in_order(tasks: Iterable[Callable[[], _T] | RtofError], workers: Workers | None) -> Iterator[_T | RtofError]:
-    """Yield the `outcome` of each task, which is also the function of the workers; None: this process does them."""
-    if workers is None:
+@contextmanager
+def work_shared(cores: int | None = None, *needed: Callable[..., Any]) -> Iterator[None]:
+    """Let `in_order` and `side_by_side` inside use so many processes, by default one per usable core; nothing changes
+    where that is one, or inside another such context. They import the modules of the functions that are needed at once.
+    """
+    if is_shared() or (cores or usable_cores()) == 1:
+        yield
+        return
+    with cores_limited(cores), Workers(Processes(cores, memory_per_job=_SHARE_BYTES), outcome, *needed) as workers:
+        before = _sharing.set(workers)
+        try:
+            workers.begin()
+            yield
+        finally:
+            _sharing.reset(before)
+
+
+def is_shared() -> bool:
+    """Return whether tasks of `in_order` are given to other processes."""
+    return _sharing.get() is not None
+
+
+def side_by_side(function: Callable[[Any], _T], items: Iterable[Any]) -> Iterator[_T]:
+    """Yield a function's results in order; it raises its errors."""
+    with closing(in_order(partial(function, item) for item in items)) as results:
+        for found in results:
+            if isinstance(found, RtofError):
+                raise found
+            yield found
+
+
+def in_order(tasks: Iterable[Callable[[], _T] | RtofError]) -> Generator[_T | RtofError, None, None]:
+    """Yield the `outcome` of each task, by other processes inside `work_shared`, unless they are at work already."""
+    workers = _sharing.get()
+    if workers is None or workers.busy:
         yield from map(outcome, tasks)
         return
     early, due = dict[str, Ended](), 0
@@ -172,24 +218,29 @@ def outcome(task: Callable[[], _T] | RtofError) -> _T | RtofError:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let numerical libraries of a process that is started have one thread."""
-    before = dict(os.environ)
+def _on_its_own(function: Callable[[Any], Any]) -> Iterator[None]:
+    """Let libraries of a process that is started have one thread, and one for `in_order` not run this one's script."""
+    environment, script = dict(os.environ), sys.modules["__main__"]
     os.environ.update(dict.fromkeys(VARIABLES, "1"))
+    if function is outcome:
+        sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = script
         for name in VARIABLES:
             del os.environ[name]
-        os.environ.update({name: before[name] for name in VARIABLES if name in before})
+        os.environ.update({name: environment[name] for name in VARIABLES if name in environment})
 
 
 # --- in the worker -------------------------------------------------------------------------------
 
 
-def _serve(function: Callable[[Any], Any], connection: Connection) -> None:
+def _serve(connection: Connection, function: Callable[[Any], Any], *_: Callable[..., Any]) -> None:
     """Do the jobs that come until the connection is closed."""
     end_with_parent()
+    if function is outcome:  # the process that shares its work warns itself
+        logging.getLogger("rtof_kin").setLevel(logging.ERROR)
     while True:
         try:
             key, argument = connection.recv()
