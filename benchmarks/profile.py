@@ -4,7 +4,8 @@
 in a process of its own; ``--video FILE`` adds ``rtof-kin detect``. *Cold* has an empty cache: the energy is compiled.
 *start* is what lies before the first stage and between stages: the interpreter, imports, reading, writing motion.h5.
 Of several processes, stages are of the first one, which waits for the others in *parts*. *run* goes from
-the files of a phone and sensors, with a camera that is not calibrated, to the report, with the certificate. Run nothing else beside it.
+the files of a phone and sensors, with a camera that is not calibrated, to the report, with the certificate. Run nothing
+else beside it.
 """
 
 from __future__ import annotations
