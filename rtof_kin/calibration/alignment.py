@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError, RtofError
+from rtof_kin.core.jobs import side_by_side
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
@@ -116,12 +118,10 @@ def align_sensors(
     Args:
         log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
-        refine: `calibrate_recording`, which takes about as long as the video; None: heading and mounting are those of
-            the orientations alone.
+        refine: `calibrate_recording`, which takes about as long as the video; None: by the orientations alone.
     """
     skeleton.check_joints(poses.names)
-    segments = tuple(joints.values())
-    index = skeleton.index(*segments)
+    segments, index = tuple(joints.values()), skeleton.index(*joints.values())
     log = log_with_orientation(_near(log.select(list(joints)), float(poses.times[0]), float(poses.times[-1])))
     shown = np.flatnonzero(poses.valid.any(axis=1) & keypoints.seen.any(axis=1))
     frames = np.asarray(shown[:: max(1, round(poses.rate_hz / _RATE_HZ))])
@@ -130,8 +130,7 @@ def align_sensors(
         for stream, j in zip(log.streams, index, strict=True)
     ]
     starts = [_start(*own) for own in data]
-    shared = _shared(starts)
-    if shared is not None:
+    if (shared := _shared(starts)) is not None:
         starts = [_Start(shared, _SHARED_SIGMA, np.inf, _mounted(*own, shared)[0]) for own in data]
     calibration = ImuCalibration(
         log.names,
@@ -261,7 +260,7 @@ def _refined(
         joint_offsets=skeleton.joint_offsets,
     )
     try:
-        found = refine(recording, None, priors)
+        (found,) = side_by_side(partial(refine, recording, None), [priors])  # whose memory another process may have
     except RtofError as error:
         return calibration, None, (f"heading and mounting are not refined: {error}",)
     refined = found.apply(recording).calibration

@@ -90,6 +90,7 @@ def run(
             mounting, headings and bones are used as they were found
         seconds: of the demo, use as many seconds at most
     """
+    from rtof_kin.core.jobs import work_shared
     from rtof_kin.setup.init import make_recording
     from rtof_kin.setup.run import run as run_steps
 
@@ -103,16 +104,14 @@ def run(
     if only == "files" or seconds is not None:
         raise InvalidInputError("run: --only files and --seconds are for --demo")
     began, learned = time.monotonic(), list[str]()
-
-    def kept(step: str) -> None:
-        remark(f"{step}: its inputs are the same; kept")
-
     with progress() as update, without_warnings(RESULT_WARNINGS, _OF_KEYPOINTS):
-        how: dict[str, Any] = {"overwrite": overwrite, "kept": kept, "progress": update}
+        how: dict[str, Any] = {"overwrite": overwrite, "progress": update}
+        how["kept"] = lambda step: remark(f"{step}: its inputs are the same; kept")
         how["detect"] = _detection(setup, fetch_models, update)
         if only:
             setup, name = replace(setup, lifter=task.lifter()), output.resolve().name
-            found = make_recording(files, output, setup, name=name, made_with=task.model, **how)
+            with work_shared(task.threads):
+                found = make_recording(files, output, setup, name=name, made_with=task.model, **how)
         else:
             how |= {"task": task, "second": second, "analysis": analysis, "learned": learned.append}
             done = run_steps(files, output, setup, settings, **how)
