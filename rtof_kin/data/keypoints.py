@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Mask, blocks_of
 from rtof_kin.core.checks import checked_names, checked_rotations, checked_times, freeze, readonly, shared
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.over_time import OverTime
@@ -40,10 +40,13 @@ def blanked(uv_px: Array, confidence: Array) -> tuple[Array, Array]:
     """Return points (..., 2) and confidences (...), read-only, with NaN and 0 where either is missing; those that have
     it already as they are.
     """
-    missing = ~(np.isfinite(uv_px).all(axis=-1) & (confidence > 0))
-    if confidence[missing].any() or not np.isnan(uv_px[missing]).all():
-        uv_px, confidence = uv_px.copy(), confidence.copy()
-        uv_px[missing], confidence[missing] = np.nan, 0.0
+    given = uv_px
+    for rows in blocks_of(len(given)):
+        missing = ~(np.isfinite(given[rows]).all(axis=-1) & (confidence[rows] > 0))
+        if confidence[rows][missing].any() or not np.isnan(given[rows][missing]).all():
+            if uv_px is given:
+                uv_px, confidence = given.copy(), confidence.copy()
+            uv_px[rows][missing], confidence[rows][missing] = np.nan, 0.0
     shared(uv_px, confidence)
     return uv_px, confidence
 

@@ -19,6 +19,7 @@ from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.calibration.offset_scan import APART
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UndecidedError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
@@ -77,6 +78,7 @@ def set_up_sensors(
     log = _on_clock(log, lambda times: times - first)
     joints = None if places is None else {name: str(places[name].value) for name in log.names}
     clock = _clock(partial(search, log=log, joints=joints), log, float(np.ptp(poses.times)), start_utc)
+    return_free_memory()
     apart = _days_apart(log.start_utc, start_utc)
     if clock.explained < _BELONGING or (apart and clock.doubt):
         raise InvalidInputError(
@@ -105,6 +107,7 @@ def set_up_sensors(
     if (delay := found.delay) is not None:  # what the self-calibration has left
         sigma = clock.sigma if clock.doubt else float(delay.sigma[0])
         clock = replace(clock, offset=clock.offset + float(delay.value[0]), sigma=sigma)
+    return_free_memory()
     imus = imus_of_log(_on_clock(log, lambda times: times * (1 + clock.drift)))  # without drift, still from 0 on
     fields = _fields(imus, clock, found, places)
     return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)), likely)

@@ -78,7 +78,7 @@ def _labelled(
         raise FileFormatError(table.path, str(error), len(table.header) + 1) from error
     times = _times(table, channels.declaration.rate_hz)
     values = table.values[:, [i for i, name in enumerate(table.names) if name.lower() != "time"]]
-    readings = [sensor.readings(times, values) for sensor in channels.sensors]
+    readings = (sensor.readings(times, values) for sensor in channels.sensors)
     notes = (*table.notes, *channels.notes, *lost(times))
     return sensor_log([table.path], title, readings, channels.declaration, notes)
 
