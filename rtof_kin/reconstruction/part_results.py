@@ -10,7 +10,7 @@ from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
-import scipy
+from scipy.special import bdtr
 
 from rtof_kin.body.skeleton import ConfigurationReport, Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -214,7 +214,7 @@ def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
         wrong = [(start, check) for start, check in own if check.failed]
         runs = (len(list(run)) for fails, run in groupby(own, lambda one: one[1].failed) if fails)
         possible = sum(check.passed or check.failed for _, check in own)
-        explained = len(wrong) <= scipy.stats.binom.ppf(_CHANCE, possible, _FALSE_ALARMS)
+        explained = not wrong or bdtr(len(wrong) - 1, possible, _FALSE_ALARMS) < _CHANCE
         if _joined(own).failed or (explained and max(runs, default=0) < 2):
             continue
         start, check = wrong[0]

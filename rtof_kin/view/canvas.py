@@ -92,10 +92,7 @@ class Canvas:
         self._fill(half + max(stroke.radius - _GROWN_PX, 0.0) * circle, stroke.colour)
 
     def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
-        """Draw a disc; nothing if its centre is not finite.
-
-        `centre`: (2,) px. stroke: how; its radius is the disc's.
-        """
+        """Draw a disc; nothing where `centre`, (2,) px, is not finite. stroke: how; its radius is the disc's."""
         self.line(centre, centre, stroke)
 
     def cross(self, centre: Sequence[float] | Array, arm: float, stroke: Stroke) -> None:

@@ -37,9 +37,7 @@ _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeErr
 
 
 def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
-    """Raise `FileFormatError` for an archive of more than `limit` bytes, or large and compressed beyond any
-    recording.
-    """
+    """Raise `FileFormatError` for an archive above `limit` bytes, or large and compressed beyond any recording."""
     full = sum(member.file_size for member in members)
     if full > limit:
         raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")

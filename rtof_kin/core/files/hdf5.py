@@ -306,9 +306,7 @@ class ArrayFile(AbstractContextManager["ArrayFile"]):
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return all arrays and attributes of an .h5 or .npz file of results, by name, the same of either; see
-    `ArrayFile`.
-    """
+    """Return arrays and attributes of an .h5 or .npz file of results, by name, the same of either; see `ArrayFile`."""
     with ArrayFile(path) as file:
         arrays = file.attributes | {name: file.whole(name) for name in file.shapes}
         return arrays | ({"header": np.array(file.text("header"))} if "header" in arrays else {})

@@ -131,9 +131,7 @@ def make_folders(path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file or folder to the disk (OSError, e.g. if full); a folder is skipped where the system cannot sync
-    it.
-    """
+    """Sync a file or folder to disk (OSError, e.g. if full); a folder is skipped where the system cannot sync it."""
     folder = path.is_dir()
     with suppress(OSError) if folder else nullcontext():  # Windows does not open folders
         descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from multiprocessing.connection import Connection, wait
 from types import ModuleType
 from typing import Any, Final, TypeVar
@@ -134,25 +134,27 @@ class Workers(AbstractContextManager["Workers"]):
 
     def _ended(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
+        answers, ahead = list[tuple[_Job | None, Ended]](), list[_Job]()
         try:
             while True:
-                given = list[tuple[_Worker, _Job]]()
-                for job in islice(jobs, self.most - len(self.busy)):
-                    given.append((self.idle.pop() if self.idle else self.start(), job))
-                    self.busy.append(given[-1][0])
+                new = islice(chain(ahead, jobs), self.most - len(self.busy))
+                given = [(self.idle.pop() if self.idle else self.start(), job) for job in new]
+                self.busy += [worker for worker, _ in given]
                 for worker, job in given:  # all have begun: a large job waits until its worker has
                     worker.give(job)
+                ahead = list(islice(jobs, 1))  # is made, and answers are used, while they work
+                yield from answers
                 if not self.busy:
                     return
                 ready = wait([worker.connection for worker in self.busy])
+                answers = []
                 for worker in [worker for worker in self.busy if worker.connection in ready]:
                     self.busy.remove(worker)
-                    lost, answer = worker.take()
-                    if lost is not None or worker.done >= self.settings.jobs_per_worker:
+                    answers.append(worker.take())
+                    if answers[-1][0] is not None or worker.done >= self.settings.jobs_per_worker:
                         worker.connection.close()
                     else:
                         self.idle.append(worker)
-                    yield lost, answer
         finally:  # also if nobody wants the others
             for worker in self.busy:
                 worker.process.terminate()
