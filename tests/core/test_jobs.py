@@ -277,6 +277,14 @@ def test_jobs_are_taken_as_there_is_room_for_them() -> None:
     results.close()
 
 
+def test_a_worker_has_its_next_job_while_an_answer_is_used(tmp_path: Path) -> None:
+    results = Processes(1).run(engine_jobs.die, ((name, (tmp_path / name, 0)) for name in "abc"))
+    assert next(results).key == "a"
+    _until((tmp_path / "b-0").is_file)  # nobody has asked for it yet
+    assert not (tmp_path / "c-0").exists()
+    assert [one.key for one in results] == ["b", "c"]
+
+
 def test_workers_are_warm_have_one_thread_and_are_replaced_after_so_many_jobs() -> None:
     found = answers(Processes(1, jobs_per_worker=2), engine_jobs.whereabouts, dict.fromkeys("abcd", 0))
     workers = [process for process, _ in found.values()]
