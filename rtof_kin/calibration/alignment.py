@@ -118,10 +118,11 @@ def align_sensors(
     Args:
         log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
-        refine: `calibrate_recording`, which takes about as long as the video; None: by the orientations alone.
+        refine: `calibrate_recording`, which takes about as long as the video; None: orientations alone are used.
     """
     skeleton.check_joints(poses.names)
-    segments, index = tuple(joints.values()), skeleton.index(*joints.values())
+    segments = tuple(joints.values())
+    index = skeleton.index(*segments)
     log = log_with_orientation(_near(log.select(list(joints)), float(poses.times[0]), float(poses.times[-1])))
     shown = np.flatnonzero(poses.valid.any(axis=1) & keypoints.seen.any(axis=1))
     frames = np.asarray(shown[:: max(1, round(poses.rate_hz / _RATE_HZ))])

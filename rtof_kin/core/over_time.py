@@ -37,7 +37,8 @@ class OverTime(Sampled):
     rows: ClassVar[tuple[str, ...]] = ()
 
     def __getitem__(self, frames: slice | Index) -> Self:
-        return replace(self, **self.cut(frames))  # type: ignore[type-var]
+        whole = isinstance(frames, slice) and frames.indices(len(self)) == (0, len(self), 1)
+        return self if whole else replace(self, **self.cut(frames))  # type: ignore[type-var]
 
     def cut(self, frames: slice | Index) -> dict[str, Any]:
         """Return some rows of the fields by name."""
@@ -60,7 +61,7 @@ class Stream(Sampled, Generic[Part]):
         """Return the stream of samples in memory; a stream is returned as it is."""
         if isinstance(whole, Stream):
             return whole
-        return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
+        return Stream(whole.times, whole.__getitem__)
 
     def between(self, start_s: float, stop_s: float) -> Part | None:
         """Return the samples in a closed interval, s; None where there are none."""

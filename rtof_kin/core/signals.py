@@ -49,9 +49,7 @@ def _in_gap(t: Array, at: Array, max_gap: float) -> Mask:
 
 
 def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float = np.inf) -> Array:
-    """Interpolate rotations (T, S, 3, 3) on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` gives
-    NaN.
-    """
+    """Interpolate rotations (T, S, 3, 3) on the geodesic: (T', S, 3, 3), NaN as a whole where `interpolate` has it."""
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)
     for ok, sensors in _alike(np.asarray(np.isfinite(R).all(axis=(-2, -1)))):

@@ -232,7 +232,7 @@ class SensorStream(OverTime):
     def between(self, start: float, stop: float) -> SensorStream | None:
         """Return the samples from start to before stop; None where there are fewer than two. start, stop: s."""
         a, b = np.searchsorted(self.times, [start, stop])
-        return None if b - a < 2 else replace(self if b - a == len(self) else self[a:b], quaternion_norm=None)
+        return None if b - a < 2 else replace(self[a:b], quaternion_norm=None)
 
     def imu(self) -> ImuSequence:
         """Return orientation and specific force for a recording. `InvalidInputError`: one of them is missing."""

@@ -342,7 +342,7 @@ def _seen(sources: Sources, settings: SetupSettings, folder: Path, progress: Pro
         return found.recognition.layout, found.keypoints if turned is None else stabilised(found.keypoints, turned)
 
     camera, (kind, still) = filming.camera, of_person(people)
-    points = _keypoints(sources, settings, kind, people, number)
+    described = _keypoints(sources, settings, kind, people, number)
     doubts = [*_doubts(settings, still, people, number), *filming.doubts]
     del people, filmed  # of an hour they are large
     return_free_memory()
@@ -357,7 +357,7 @@ def _seen(sources: Sources, settings: SetupSettings, folder: Path, progress: Pro
         floor = Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")
         tables["scene"] = {"floor_height_m": floor}
     tables["camera"] = camera.fields
-    tables["keypoints"] = points
+    tables["keypoints"] = described
 
     def whole() -> KeypointSequence:
         """Return all keypoints, which are not kept: an hour of them is half of what a command may take."""

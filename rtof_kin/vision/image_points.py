@@ -75,7 +75,7 @@ class DetectorPoint:
 
 
 def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
-    """Return the points of a detector's layout that measure, by name; `UnknownNameError` for others."""
+    """Return the points of a layout that are used as measurements, by name; `UnknownNameError` for others."""
     return _known_points(detector_table().layout(layout))
 
 

@@ -60,9 +60,7 @@ def _system() -> str:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new folder, of this user alone, that is removed when the block ends, see `clear`; OSError if
-    impossible.
-    """
+    """Yield a new folder, of this user alone, removed when the block ends, see `clear`; OSError if impossible."""
     remove_leftovers(parent)
     while True:
         folder = parent / f".rtof_kin-{_system()}-{secrets.token_hex(6)}"

@@ -137,9 +137,10 @@ class Workers(AbstractContextManager["Workers"]):
         answers, ahead = list[tuple[_Job | None, Ended]](), list[_Job]()
         try:
             while True:
-                new = islice(chain(ahead, jobs), self.most - len(self.busy))
-                given = [(self.idle.pop() if self.idle else self.start(), job) for job in new]
-                self.busy += [worker for worker, _ in given]
+                given = list[tuple[_Worker, _Job]]()
+                for job in islice(chain(ahead, jobs), self.most - len(self.busy)):
+                    given.append((self.idle.pop() if self.idle else self.start(), job))
+                    self.busy.append(given[-1][0])
                 for worker, job in given:  # all have begun: a large job waits until its worker has
                     worker.give(job)
                 ahead = list(islice(jobs, 1))  # is made, and answers are used, while they work
@@ -150,8 +151,9 @@ class Workers(AbstractContextManager["Workers"]):
                 answers = []
                 for worker in [worker for worker in self.busy if worker.connection in ready]:
                     self.busy.remove(worker)
-                    answers.append(worker.take())
-                    if answers[-1][0] is not None or worker.done >= self.settings.jobs_per_worker:
+                    lost, answer = worker.take()
+                    answers.append((lost, answer))
+                    if lost is not None or worker.done >= self.settings.jobs_per_worker:
                         worker.connection.close()
                     else:
                         self.idle.append(worker)
